@@ -17,7 +17,8 @@ from splatpainter.lift.sheets.paint import PaintedView, paint_view
 from splatpainter.lift.sheets.resurface import _cut
 from splatpainter.lift.sheets.sheet import SHEET, flat_cells
 from splatpainter.lift.sheets.view_limits import paintable
-from splatpainter.rendering.cpu.projected_view import project, tile_shape
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tile_shape
+from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import VisibleSurface, visible_surface
@@ -124,6 +125,26 @@ def test_bits_are_the_same_for_any_number_of_threads(threads: str, monkeypatch: 
     monkeypatch.setenv("SPLATPAINTER_THREADS", threads)
     result = paint(splats, mask)
     assert same_bits(result.splats, expected.splats)
+
+
+@pytest.mark.parametrize("scene", ["wall", "ball", "cloud"])
+def test_a_drawing_that_somebody_holds_is_taken_and_changes_no_bit(scene: str, monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(2)
+    splats = {"wall": wall, "ball": ball}[scene]() if scene != "cloud" else ball(1500)
+    if scene == "cloud":
+        splats = replace(splats, means=rng.normal(0, 0.3, (1500, 3)).astype(np.float32))
+    mask = disk(FRONT, 60, 70, 22)
+    anew = paint(splats, mask)
+    held = drawn_view(splats, FRONT)
+    seen, rasterize = [], ProjectedView.rasterize
+    monkeypatch.setattr(ProjectedView, "rasterize", lambda *a, **k: seen.append(a[1:]) or rasterize(*a, **k))
+    picture = np.where(mask[..., None], RED, held.colors).astype(np.float32)
+    taken = paint_view(splats, Surface.of(splats), FRONT, picture, mask)
+    # The first picture that it needs is the one that is there: what it draws has other Gaussians or other colours.
+    assert not seen or seen[0]
+    assert same_bits(anew.splats, taken.splats)
+    for name in ("touched", "parents", "replaced", "removed", "on_surface"):
+        np.testing.assert_array_equal(getattr(anew, name), getattr(taken, name))
 
 
 def test_flat_paint_needs_few_gaussians_and_detail_many():

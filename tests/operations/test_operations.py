@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import splatpainter as sp
+from splatpainter import receipts
 from splatpainter.commands.edit import split_words
+from splatpainter.operations import to_file
 from splatpainter.operations.operation import Operation, Wording, kinds, operation_class, operation_of
 from splatpainter.operations.to_file import apply_to_file
 from splatpainter.painter import Asset
@@ -105,6 +108,21 @@ def test_the_same_list_everywhere(folder: Path, capfd: Capture) -> None:
     (folder / "jobs.yaml").write_text(jobs)
     assert run(capfd, "batch", "jobs.yaml").code == 0
     assert (folder / "python.ply").read_bytes() == (folder / "out" / "ball.ply").read_bytes()
+
+
+def test_idle_memory_goes_back_before_the_file_is_read_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The heap of the edit and what is read for the proof are never there together."""
+    order: list[str] = []
+    for module, name in ((to_file, "write"), (to_file, "return_idle_memory"), (receipts, "read")):
+        before = getattr(module, name)
+
+        def noted(*args: Any, _before: Any = before, _name: str = name, **kwargs: Any) -> Any:
+            order.append(_name)
+            return _before(*args, **kwargs)
+
+        monkeypatch.setattr(module, name, noted)
+    assert apply_to_file(Path("ball.ply"), [sp.Paint((Path("painted.png"),))], Path("out.ply")).verification.ok
+    assert order == ["write", "return_idle_memory", "read"]
 
 
 def test_pictures_decals_and_operations_in_one_call(folder: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splatpainter.rendering import render
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.recent_views import drawn_view, note_view, recent_view
 from splatpainter.rendering.partial import PartialRender
 from tests.support.render_scenes import cameras, scene
@@ -50,6 +50,16 @@ def test_a_partial_render_of_a_view_at_hand_has_the_same_bits_before_and_after_a
     for one, two in pairs:
         for name in ("tiles", "colors", "alphas", "depths"):
             np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_tiles_of_a_drawn_view_are_what_would_be_drawn_of_them(monkeypatch: pytest.MonkeyPatch):
+    splats, camera = scene(60, 2, 1, dtype=np.float32), replace(cameras(70, 45)[0], background=(0.2, 0.4, 0.6))
+    tiles = np.array([[0, 1, 1, 0, 1], [0, 0, 0, 0, 0], [1, 1, 1, 1, 1]], bool)
+    anew, held = PartialRender.of(splats, camera, tiles, tiles), drawn_view(splats, camera)
+    monkeypatch.setattr(ProjectedView, "rasterize", None)
+    taken = PartialRender.of(splats, camera, tiles, tiles, held.view)
+    for name in ("tiles", "colors", "alphas", "depths"):
+        np.testing.assert_array_equal(getattr(anew, name), getattr(taken, name))
 
 
 def test_a_drawn_view_is_what_render_shows_and_is_drawn_once_while_it_is_held():

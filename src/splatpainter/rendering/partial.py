@@ -53,7 +53,7 @@ class PartialRender:
         that has these, if at hand; keep: whether a view of all tiles is kept, about 150 bytes per Gaussian. Raises
         ValueError for sizes that `render` does not draw."""
         from splatpainter.rendering.cpu.projected_view import project, tile_shape
-        from splatpainter.rendering.cpu.recent_views import drawn_view, recent_view
+        from splatpainter.rendering.cpu.recent_views import drawn_view, recent_drawing, recent_view
 
         everywhere = np.ones(tile_shape(camera), bool)
         if tiles is None or tiles.all():
@@ -64,7 +64,8 @@ class PartialRender:
         check_views([camera])
         if view is None:
             view = project(splats, camera, tiles=tiles if beside is None else tiles | beside)
-        pictures = view.rasterize(tiles=tiles)
+        drawn = recent_drawing(splats, camera)
+        pictures = view.rasterize(tiles=tiles) if drawn is None else drawn.within(tiles)
         return PartialRender(splats, camera, tiles, *pictures, None if beside is None else view)
 
     def with_tiles(self, tiles: np.ndarray) -> PartialRender:

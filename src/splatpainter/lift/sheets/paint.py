@@ -21,13 +21,13 @@ from splatpainter.lift.local.local_edit import (
 )
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
-from splatpainter.lift.sheets.resurface import RESURFACING, RING_PX, resurface
+from splatpainter.lift.sheets.resurface import RESURFACING, RING_PX, lay_sheet, resurface
 from splatpainter.lift.sheets.rounding import rounded
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.lift.sheets.view_limits import paintable
 from splatpainter.order_statistics import distinct
-from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
-from splatpainter.rendering.cpu.recent_views import recent_view
+from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, copy_tiles, project, tiles_of_mask
+from splatpainter.rendering.cpu.recent_views import DrawnView, recent_drawing, recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.recent_sights import recent_sight
@@ -106,6 +106,7 @@ def paint_view(
     if view is None or (needed & ~view.tiles).any():
         view = project(splats, camera, tiles=needed)
     around = local = view.part(tiles=needed)
+    drawn = recent_drawing(splats, camera)
     # Both masks in one walk: who makes pixels of the ring, and who makes painted ones.
     around_it, in_mask = local.mask_sums(reach, mask)
     tiles = _tiles_at_work(local, around_it)
@@ -125,7 +126,9 @@ def paint_view(
     # Where the original's Gaussians end among those in work.
     first = int(np.searchsorted(ids, originals))
     chosen, counts = take(splats, ids), (first, originals)
-    part = _paint_part(chosen, surface, view, around, edited, mask, in_mask, options, counts, sight)
+    part = _paint_part(chosen, surface, view, around, drawn, edited, mask, in_mask, options, counts, sight)
+    # The largest arrays come now: what is read no more goes.
+    del chosen, view, around, local, drawn, number, present, around_it, in_mask
     return _put_back(splats, ids, part, options.resurface)
 
 
@@ -164,6 +167,7 @@ def _paint_part(
     surface: Surface,
     view: ProjectedView,
     around: ProjectedView,
+    drawn: DrawnView | None,
     edited: np.ndarray,
     mask: np.ndarray,
     in_mask: MaskSums,
@@ -172,11 +176,13 @@ def _paint_part(
     sight: SightEstimates | None,
 ) -> _PaintedPart:
     """`paint_view` on the Gaussians that it depends on. view: of them, the tiles of the mask and its ring; around: the
-    tiles of `read_by_edit`; in_mask: how much of the view's Gaussians the mask shows; counts: how many of the Gaussians
-    are the original's, and how many that has in all; sight: as of `paint_view`."""
+    tiles of `read_by_edit`; drawn: the whole view's pictures, if at hand; in_mask: how much of the view's Gaussians the
+    mask shows; counts: how many of the Gaussians are the original's, and how many that has in all; sight: as of
+    `paint_view`."""
     camera, reach, (first_appended, originals) = view.camera, dilated(mask, RING_PX), counts
     # The surface under the mask and its ring, as far as the asset covers the pixels.
-    before, alpha = view.rasterize()[:2]
+    before, alpha = view.rasterize()[:2] if drawn is None else (drawn.colors, drawn.alphas)
+    drawn_tiles = view.tiles if drawn is None else drawn.view.tiles
     solid = alpha > RESURFACING.min_cover
     # Of a stroke in the studio most of it was estimated while it was drawn.
     sight = recent_sight(surface, camera) if sight is None else sight
@@ -195,18 +201,23 @@ def _paint_part(
             "angle_limit 0 and depth_edge_limit 0"
         )
     # The ring is covered too, with what it shows: the paint's edge then lies within the sheet.
-    pixels, target = dilated(painted, RING_PX) & solid, before.copy()
-    at = np.flatnonzero(painted)
+    pixels, at = dilated(painted, RING_PX) & solid, np.flatnonzero(painted)
     current, edit = (picture.reshape(-1, 3).take(at, 0) for picture in (before, edited))
-    target.reshape(-1, 3)[at] = current + share.ravel()[at, None] * (edit - current)
+    paint = current + share.ravel()[at, None] * (edit - current)
+    target, changed = _target(view, before, at, paint), np.zeros_like(mask)
+    changed.ravel()[at] = (target.reshape(-1, 3).take(at, 0) != current).any(1)
+    del share, current, edit  # what is read no more goes at once: whole pictures
     may, none = gaussians_in_mask(splats, camera, mask, None, view, in_mask), np.zeros(0, np.int64)
     sheet, on_surface = None, np.zeros_like(mask)
     # Gaussians nearly as fine as the pixels are split: a sheet would only bring its own errors.
     if is_fine(painted, may, first_appended, originals, options):
-        at = np.flatnonzero(painted & solid)
-        on_surface.ravel()[at] = visible.at_centers(at).depth > 0
+        seen = np.flatnonzero(painted & solid)
+        on_surface.ravel()[seen] = visible.at_centers(seen).depth > 0
     else:
-        sheet = resurface(splats, view, around, visible, before, alpha, target, pixels, options, first_appended)
+        laid = lay_sheet(splats, view, around, visible, alpha, target, changed, pixels, options)
+        del visible
+        if laid is not None:
+            sheet = resurface(splats, laid, around, before, drawn_tiles, target, options, first_appended)
     # No trusted surface anywhere: split, as captures' fog needs.
     if sheet is None:
         lifted = lift_local(splats, camera, target, painted, options, may)
@@ -217,7 +228,17 @@ def _paint_part(
     left = painted & ~sheet.covered
     if left.sum() <= options.max_left_px:
         return result
+    target = _target(view, before, at, paint)
     return _then_split(splats, result, camera, target, left, options, may, around.tiles)
+
+
+def _target(view: ProjectedView, before: np.ndarray, at: Ids, paint: np.ndarray) -> Floats:
+    """[H, W, 3] the picture that a view's tiles are to show, whatever else is drawn of it; beside them its background.
+    before: [H, W, 3] what they show; at: [Q] flat indices of the painted pixels; paint: [Q, 3]."""
+    target = view.empty_picture()
+    copy_tiles(target, before, view.tiles)
+    target.reshape(-1, 3)[at] = paint
+    return target
 
 
 def _put_back(splats: Splats, ids: np.ndarray, part: _PaintedPart, rounds: bool) -> PaintedView:

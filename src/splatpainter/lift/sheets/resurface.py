@@ -30,7 +30,7 @@ from splatpainter.lift.sheets.near_surface import FAR_BEHIND, TOUCHES, NearSurfa
 from splatpainter.lift.sheets.pieces import Pieces, joined_view
 from splatpainter.lift.sheets.sheet import SHEET, Cells, SheetGeometry, flat_cells, sheet_geometry
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
-from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import ProjectedView, copy_tiles, project, tiles_of_mask
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
 from splatpainter.system.quick_dataclass import dataclass
@@ -104,24 +104,41 @@ class Resurfaced:
     """[H, W] bool pixels that the sheet covers, ring included."""
 
 
-def resurface(
+@dataclass(frozen=True)
+class LaidSheet:
+    """A sheet of C Gaussians, and P pieces of those across its edge, before their colour rounds."""
+
+    pieces: Pieces
+    fresh: Splats
+    """P + C Gaussians: the pieces, then the sheet; their SH are written to."""
+    parent_ids: Ids = field(repr=False)
+    """[C] int64: the Gaussian in place of which each one lies."""
+    emptied_ids: Ids = field(repr=False)
+    """[E] int64 indices whose Gaussian went: the sheet may take them, else they are empty."""
+    tiles: Bools = field(repr=False)
+    """[TH, TW] bool: all that Gaussians under the sheet touch."""
+    painted: Bools = field(repr=False)
+    """[H, W] bool pixels that are to change."""
+    covered: Bools = field(repr=False)
+    """[H, W] bool, as of Resurfaced."""
+
+
+def lay_sheet(
     splats: Splats,
     view: ProjectedView,
     around: ProjectedView,
     visible: VisibleSurface,
-    before: np.ndarray,
     alpha: np.ndarray,
     target: Floats,
+    painted: Bools,
     pixels: Bools,
     options: LocalOptions,
-    first_appended: int,
-) -> Resurfaced | None:
+) -> LaidSheet | None:
     """Lay a sheet under some pixels as far as the surface is trusted; None where it is nowhere.
 
     view: of `splats`, at least the tiles of `pixels`; around: those of all Gaussians that make these pixels;
-    visible: the surface at these; before: [H, W, 3] its picture, which is written to where there is a sheet; target:
-    [H, W, 3] float32 the picture to reach (equal to `before` in the ring); pixels: [H, W] bool; first_appended:
-    Gaussians from this index on are no part of the original, and their indices may take any sheet Gaussian."""
+    visible: the surface at these; alpha: [H, W] of the view; target: [H, W, 3] float32 the picture to reach in its
+    tiles; painted: [H, W] bool where that is another than the view's; pixels: [H, W] bool, these and their ring."""
     # Which pixels get a sheet: those with a trusted surface ...
     camera = view.camera
     at, depth = np.flatnonzero(pixels), np.zeros(pixels.shape)
@@ -141,10 +158,8 @@ def resurface(
         return None
     covered, near = remaining, near if np.array_equal(remaining, covered) else None
     # The fringe: painted pixels beside the sheet that show too little of a surface go on with that of their neighbours.
-    differs = target != before
-    painted = differs[..., 0] | differs[..., 1] | differs[..., 2]
     fringe, surface = fringe_of(painted, covered, depth > 0, alpha), visible
-    colors, cover = target, np.ones(alpha.shape, np.float32)
+    colors, cover = target, np.broadcast_to(np.float32(1), alpha.shape)
     if fringe.any():
         surface = FringedSurface.of(visible, covered, fringe, None if near is None else near.nearest)
         colors, cover = fringe_paint(target, surface, np.asarray(camera.background, np.float32))
@@ -161,8 +176,7 @@ def resurface(
     # Those across the edge are halved; each piece is then clearly under the sheet or beside it.
     lattice, gone = _cut(splats, share, camera, tiles, seen, near, covered, options)
     pieces = Pieces.of(lattice, gone)
-    # What is read no more goes at once: whole pictures, and at the end of all this an edit needs the most memory.
-    del near, differs, under, everywhere, share, seen
+    del near, under, everywhere, share, seen
     # The sheet's own Gaussians, as large as flat paint allows.
     cells = flat_cells(target, covered, depth, camera.fx)
     del depth
@@ -175,16 +189,35 @@ def resurface(
     else:
         hidden, parent_ids = pieces.remaining_gaussians(splats)
     sheet, hidden_ids = _sheet(hidden, geometry, cells, colors, cover, tiles, camera)
-    fresh = pieces.splats.append(sheet)
-    del sheet, hidden, geometry, colors, cover
-    # Colour rounds: the pixels beside the sheet ask for what they showed before.
-    goal = _goal(view, around, before, tiles, target, covered)
-    weights = np.where(painted, covered, RESURFACING.unedited_weight).astype(np.float32)
-    # Indices whose Gaussian went: the sheet may take them, else they are empty.
-    emptied = lattice.parent[gone & lattice.slot]
-    del lattice, painted
-    result = _recolored(splats, pieces, fresh, around, tiles, goal, covered, weights, options)
-    return _assemble(splats, pieces, result, emptied, parent_ids[hidden_ids], covered, first_appended)
+    emptied_ids, parent_ids = lattice.parent[gone & lattice.slot], parent_ids[hidden_ids]
+    return LaidSheet(pieces, pieces.splats.append(sheet), parent_ids, emptied_ids, tiles, painted, covered)
+
+
+def resurface(
+    splats: Splats,
+    laid: LaidSheet,
+    around: ProjectedView,
+    before: np.ndarray,
+    drawn: Bools,
+    target: Floats,
+    options: LocalOptions,
+    first_appended: int,
+) -> Resurfaced:
+    """Colour rounds of a sheet, and everything at its index. Apart from laying it, as here an edit needs the most
+    memory, and nothing is read any more of what says where the surface is.
+
+    around, target: as of `lay_sheet`; the target is written to; before: [H, W, 3] what the view shows, in the tiles
+    `drawn` ([TH, TW] bool); first_appended: Gaussians from this index on are no part of the original, and their indices
+    may take any sheet Gaussian."""
+    # The pixels beside the sheet ask for what they showed before.
+    paste(target, before, laid.painted & ~laid.covered)
+    copy_tiles(target, before, laid.tiles & drawn & ~tiles_of_mask(laid.painted))
+    missing = laid.tiles & ~drawn
+    if missing.any():
+        # Of alpha and depth, which nobody reads, only the pages of these tiles become memory.
+        around.redraw(missing, target, *np.zeros((2, *target.shape[:2]), target.dtype))
+    weights = np.where(laid.painted, laid.covered, RESURFACING.unedited_weight).astype(np.float32)
+    return _assemble(splats, laid, _recolored(splats, laid, around, target, weights, options), first_appended)
 
 
 def without_islands(mask: np.ndarray) -> Bools:
@@ -223,19 +256,6 @@ def clear_pixels(
     light = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
     clear[window] = box_mean(light.astype(np.float32), RESURFACING.clear_radius_px) > 0.5
     return clear
-
-
-def _goal(
-    view: ProjectedView, around: ProjectedView, before: np.ndarray, tiles: np.ndarray, target: Floats, covered: Bools
-) -> np.ndarray:
-    """`before` ([H, W, 3]), written to: what some tiles show, and the target in the covered pixels. view: has the
-    picture `before`; around: drawn in the others of these tiles."""
-    missing = tiles & ~view.tiles
-    if missing.any():
-        # Of alpha and depth, which nobody reads, only the pages of these tiles become memory.
-        around.redraw(missing, before, *np.zeros((2, *before.shape[:2]), before.dtype))
-    paste(before, target, covered)
-    return before
 
 
 def _cut(
@@ -346,10 +366,8 @@ def _within_horizon(
 
 @dataclass(frozen=True)
 class _Recolored:
-    """The Gaussians after colour rounds."""
+    """Of Gaussians around a sheet after colour rounds."""
 
-    fresh: Splats
-    """P + C Gaussians: the pieces, then the sheet."""
     ids: Ids = field(repr=False)
     """[Q] int64: those that are as they were but for their colour."""
     sh: np.ndarray = field(repr=False)
@@ -357,18 +375,11 @@ class _Recolored:
 
 
 def _recolored(
-    splats: Splats,
-    pieces: Pieces,
-    fresh: Splats,
-    around: ProjectedView,
-    tiles: np.ndarray,
-    goal: np.ndarray,
-    covered: np.ndarray,
-    weights: np.ndarray,
-    options: LocalOptions,
+    splats: Splats, laid: LaidSheet, around: ProjectedView, goal: np.ndarray, weights: np.ndarray, options: LocalOptions
 ) -> _Recolored:
-    """Colour rounds of the sheet, of the pieces around it and of what hangs before it. fresh: the pieces, then the
-    sheet, whose SH are written to; around: of the N `splats`, with these tiles."""
+    """Colour rounds of the sheet, of the pieces around it and of what hangs before it. around: of the N `splats`, with
+    the sheet's tiles."""
+    pieces, fresh, tiles, covered = laid.pieces, laid.fresh, laid.tiles, laid.covered
     view, count, first = joined_view(pieces, fresh, around, tiles), len(splats), len(splats) + len(pieces.parent_ids)
     ids = view.gaussian_ids
     added, piece = ids >= first, (ids >= count) & (ids < first)
@@ -376,6 +387,7 @@ def _recolored(
     # What hangs before the sheet and gives its pixels light has to take part, or the sheet would compensate for it.
     hanging = (inside.peak > RESURFACING.min_peak) & (inside.weight > RESURFACING.min_sheet_share * everywhere.weight)
     hanging &= inside.weight > RESURFACING.min_visible * inside.alpha
+    del inside, everywhere  # now comes what an edit needs the most memory for
     editable = np.flatnonzero(added | piece | hanging)
     lifted = lift_colors(
         view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=RESURFACING.color_step_fraction
@@ -391,24 +403,15 @@ def _recolored(
         sh[fresh_ids] = recolor(sh[fresh_ids], before[chosen], lifted[chosen], damping)
     hanging = moved & (ids < count)
     recolored = recolor(splats.sh[ids[hanging]], before[hanging], lifted[hanging], options.damping)
-    return _Recolored(fresh, ids[hanging], recolored)
+    return _Recolored(ids[hanging], recolored)
 
 
-def _assemble(
-    splats: Splats,
-    pieces: Pieces,
-    painted: _Recolored,
-    emptied_ids: np.ndarray,
-    parent_ids: np.ndarray,
-    covered: np.ndarray,
-    first_appended: int,
-) -> Resurfaced:
+def _assemble(splats: Splats, laid: LaidSheet, painted: _Recolored, first_appended: int) -> Resurfaced:
     """Everything at its index: pieces of a Gaussian at that of their parent, one sheet Gaussian at that of its host,
-    further ones at emptied indices that are no part of the original; the rest is appended. emptied_ids: indices that
-    nothing of the rest has; parent_ids: [C] of the sheet's Gaussians."""
-    fresh, first = painted.fresh, len(pieces.parent_ids)
+    further ones at emptied indices that are no part of the original; the rest is appended."""
+    pieces, fresh, parent_ids, first = laid.pieces, laid.fresh, laid.parent_ids, len(laid.pieces.parent_ids)
     emptied = np.zeros(len(splats), bool)
-    emptied[emptied_ids] = True
+    emptied[laid.emptied_ids] = True
     index = np.full(len(parent_ids), -1, np.int64)
     # One sheet Gaussian takes the index of each host that went, so that files grow as little as possible.
     fitting = np.flatnonzero(emptied[parent_ids])
@@ -437,4 +440,4 @@ def _assemble(
     tail = np.concatenate([np.flatnonzero(~pieces.slot), first + np.flatnonzero(index < 0)])
     parents = np.concatenate([pieces.parent_ids[~pieces.slot], parent_ids[index < 0]])
     edit = SparseEdit(written[differs], take(values, np.flatnonzero(differs)), removed, take(fresh, tail), parents)
-    return Resurfaced(edit, np.sort(index[placed]), covered)
+    return Resurfaced(edit, np.sort(index[placed]), laid.covered)

@@ -235,13 +235,20 @@ class ProjectedView:
         only these. Other tiles stay background, 0 and 0."""
         if tiles is not None and (self.tiles & ~tiles).any():
             return self._with_tiles(tiles & self.tiles).rasterize(colors)
-        dtype, shape = self.projected.dtype, (self.camera.height, self.camera.width)
         # Zeros that nobody writes cost nothing: the system hands out pages when they are touched.
-        image, alpha, depth = np.zeros((*shape, 3), dtype), np.zeros(shape, dtype), np.zeros(shape, dtype)
-        if len(self.tile_ids) < self.tiles.size and any(self.camera.background):
-            self._fill(image)
+        everywhere, shape = len(self.tile_ids) == self.tiles.size, (self.camera.height, self.camera.width)
+        dtype = self.projected.dtype
+        image = np.zeros((*shape, 3), dtype) if everywhere else self.empty_picture()
+        alpha, depth = np.zeros(shape, dtype), np.zeros(shape, dtype)
         self.rasterize_into(image, alpha, depth, colors, empty=True)
         return image, alpha, depth
+
+    def empty_picture(self) -> np.ndarray:
+        """[H, W, 3] its background."""
+        image = np.zeros((self.camera.height, self.camera.width, 3), self.projected.dtype)
+        if any(self.camera.background):
+            self._fill(image)
+        return image
 
     def redraw(self, tiles: Bools, image: np.ndarray, alpha: np.ndarray, depth: np.ndarray) -> None:
         """Some of the drawn tiles ([TH, TW] bool) drawn anew into given pictures, whose other pixels stay."""
@@ -434,6 +441,16 @@ def tiles_of_mask(mask: np.ndarray) -> Bools:
     # Rows first, then eight pixels at a time as one number.
     lines = np.logical_or.reduce(padded.reshape(-1, TILE, padded.shape[1]), 1).view(np.uint64)
     return (lines[:, ::2] | lines[:, 1::2]) != 0
+
+
+def copy_tiles(picture: np.ndarray, other: np.ndarray, tiles: Bools) -> None:
+    """Write some tiles ([TH, TW] bool) of another picture to one ([H, W, ...] both)."""
+    edges = np.diff(np.pad(tiles, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    # Tiles beside each other at once: most edits are in one piece.
+    ends = np.argwhere(edges < 0)[:, 1]
+    for (y, x), end in zip(np.argwhere(edges > 0).tolist(), ends.tolist(), strict=True):
+        rows, columns = slice(TILE * y, TILE * (y + 1)), slice(TILE * x, TILE * end)
+        picture[rows, columns] = other[rows, columns]
 
 
 def project(

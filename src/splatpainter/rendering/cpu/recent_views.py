@@ -9,9 +9,10 @@ from collections import deque
 
 import numpy as np
 
+from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera, same_camera
 from splatpainter.rendering import check_views
-from splatpainter.rendering.cpu.projected_view import ProjectedView, project
+from splatpainter.rendering.cpu.projected_view import ProjectedView, copy_tiles, project
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -32,6 +33,13 @@ class DrawnView:
     """[H, W]"""
     depths: np.ndarray
     """[H, W] expected z-depth."""
+
+    def within(self, tiles: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What `view.rasterize(tiles=tiles)` would give, without drawing it again."""
+        out = (self.view.empty_picture(), np.zeros_like(self.alphas), np.zeros_like(self.depths))
+        for picture, source in zip(out, (self.colors, self.alphas, self.depths), strict=True):
+            copy_tiles(picture, source, tiles)
+        return out
 
 
 _drawn: deque[weakref.ref[DrawnView]] = deque(maxlen=MAX_RECENT)
@@ -57,16 +65,25 @@ def recent_view(splats: Splats, camera: Camera) -> ProjectedView | None:
     return None
 
 
-def drawn_view(splats: Splats, camera: Camera) -> DrawnView:
-    """A whole view of numpy `splats`, drawn as `render` draws it: the one that somebody holds, or a new one, which
-    serves others for as long as the caller holds it. Raises ValueError for sizes that `render` does not draw."""
-    check_views([camera])
-    camera = camera.within(splats.offset)
-    view = recent_view(splats, camera)
+def recent_drawing(splats: Splats, camera: Camera) -> DrawnView | None:
+    """What `drawn_view` would give, where somebody holds it."""
+    view = recent_view(splats, camera.within(splats.offset))
     for reference in reversed(tuple(_drawn)):
         drawn = reference()
         if drawn is not None and drawn.view is view:
             return drawn
+    return None
+
+
+def drawn_view(splats: Splats, camera: Camera) -> DrawnView:
+    """A whole view of numpy `splats`, drawn as `render` draws it: the one that somebody holds, or a new one, which
+    serves others for as long as the caller holds it. Raises ValueError for sizes that `render` does not draw."""
+    check_views([camera])
+    drawn = recent_drawing(splats, camera)
+    if drawn is not None:
+        return drawn
+    camera = camera.within(splats.offset)
+    view = recent_view(splats, camera)
     if view is None:
         view = project(splats, camera)
         note_view(splats, view)

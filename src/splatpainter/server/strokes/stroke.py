@@ -21,7 +21,7 @@ from splatpainter.lift.local.patch import MIN_INSIDE_SMALL, MIN_PIXEL_SHARE
 from splatpainter.lift.sheets.paint import sight_under
 from splatpainter.rendering.cpu.geometry import TILE
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
-from splatpainter.rendering.cpu.recent_views import note_view
+from splatpainter.rendering.cpu.recent_views import DrawnView, drawn_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.session import Session
 from splatpainter.splats import Splats
@@ -59,13 +59,10 @@ class _Canvas:
     """The stroke on one version of the asset. M Gaussians are in the view."""
 
     version: int
-    view: ProjectedView
+    drawn: DrawnView
+    """The render without the stroke."""
     splats: Splats
     """Those of this version."""
-    base: np.ndarray
-    """[H, W, 3] the render without the stroke."""
-    alpha: np.ndarray
-    """[H, W] of it."""
     erased: np.ndarray
     """[H, W, 3] the original's render (of an erasing stroke; else the base)."""
     target: np.ndarray
@@ -80,6 +77,10 @@ class _Canvas:
     """[M] bool."""
     entries: np.ndarray = field(repr=False)
     """[N] int32 the view's entry of each Gaussian that is in it."""
+
+    @property
+    def view(self) -> ProjectedView:
+        return self.drawn.view
 
 
 class Stroke:
@@ -118,10 +119,9 @@ class Stroke:
         # Projecting is the expensive part, so it is done once for each version of the asset.
         if self._canvas is not None and self._canvas.version == version:
             return
-        view = project(splats, self.camera)
-        # The edit at the end of the stroke takes the same view and need not project it again.
-        note_view(splats, view)
-        base, alpha = view.rasterize()[:2]
+        # The edit at the end of the stroke takes the same view, and need neither project nor draw it again.
+        drawn = drawn_view(splats, self.camera)
+        view, base = drawn.view, drawn.colors
         erased = project(self._beneath or original, self.camera).rasterize()[0] if self.erase else base
         # The weights of the whole view say later how much of a Gaussian lies under the stroke.
         everywhere = np.ones(base.shape[:2], np.float32)
@@ -130,10 +130,8 @@ class Stroke:
         movable = np.zeros(len(view), bool)
         self._canvas = _Canvas(
             version,
-            view,
+            drawn,
             splats,
-            base,
-            alpha,
             erased,
             base.copy(),
             weights,
@@ -180,7 +178,7 @@ class Stroke:
         # Erasing shows the original there; paint shows its own colour.
         if not self.erase:
             painted = from_display(self.rgba[inside][..., :3].astype(np.float32) / 255, splats.color_space)
-        canvas.target[inside] = (1 - alpha) * canvas.base[inside] + alpha * painted
+        canvas.target[inside] = (1 - alpha) * canvas.drawn.colors[inside] + alpha * painted
         moved = self._lift(canvas, _grown(box, self.camera))
         # Only what changed visibly is sent: previews go out with every dab. The others have the colours of before, and
         # were judged then.
@@ -231,7 +229,8 @@ class Stroke:
         canvas, patches = self._canvas, self._patches
         if canvas is None or not self.has_grown:
             return False
-        sight = sight_under(canvas.splats, surface, canvas.view, canvas.alpha, self.mask, self._sight)
+        alphas = canvas.drawn.alphas
+        sight = sight_under(canvas.splats, surface, canvas.view, alphas, self.mask, self._sight)
         self._looked = patches
         if sight is not None:
             self._sight = sight
@@ -249,7 +248,7 @@ class Stroke:
     def base(self) -> np.ndarray:
         """[H, W, 3] the render without the stroke, in the asset's colour space; `prepare` first."""
         assert self._canvas is not None
-        return self._canvas.base
+        return self._canvas.drawn.colors
 
     @property
     def mask(self) -> np.ndarray:
@@ -267,7 +266,7 @@ class Stroke:
         """[H, W, 3] display colours 0..1: the stroke over the asset's own render."""
         self.prepare(splats, original, version)
         assert self._canvas is not None
-        return self.over(to_display(self._canvas.base, splats.color_space))
+        return self.over(to_display(self._canvas.drawn.colors, splats.color_space))
 
     def over(self, render: np.ndarray) -> np.ndarray:
         """[H, W, 3] display colours 0..1: the stroke over a picture of the view ([H, W, 3] display colours)."""
