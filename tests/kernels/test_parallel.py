@@ -6,11 +6,12 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from splatpainter.kernels.parallel import THREADS_VARIABLE, beside, each, run
+from splatpainter.kernels.parallel import THREADS_VARIABLE, ahead, beside, each, run
 
 
 @pytest.fixture(autouse=True)
@@ -60,6 +61,44 @@ def test_callers_beside_one_another_and_within_one_another_do_not_wait_for_ever(
         wait()
     assert len(counts) == 21 * 16
     assert each(lambda k: k * k, range(10)) == [k * k for k in range(10)]
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_items_are_made_one_ahead_and_never_two(threads: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(THREADS_VARIABLE, threads)
+    made, done, begun = [], [], [threading.Event() for _ in range(6)]
+
+    def items() -> Iterator[int]:
+        for k in range(6):
+            assert len(done) >= k - 1, "memory of an item in use would be written to"
+            made.append(threading.get_ident())
+            begun[k].set()
+            yield k
+
+    for k in ahead(items()):
+        # The next one is made while this one is at work.
+        assert threads == "1" or k == 5 or begun[k + 1].wait(20)
+        done.append(k)
+    assert done == list(range(6)) and len(made) == 6
+    assert (threading.get_ident() in made) == (threads == "1")
+    assert list(ahead([])) == []
+
+
+def test_what_making_an_item_raises_comes_in_its_turn_and_what_its_user_raises_ends_it():
+    def items() -> Iterator[int]:
+        yield 0
+        yield 1
+        raise OSError("no room")
+
+    taken = []
+    with pytest.raises(OSError, match="no room"):
+        for item in ahead(items()):
+            taken.append(item)
+    assert taken == [0, 1]
+    with pytest.raises(KeyError):
+        for item in ahead(items()):
+            raise KeyError(item)
+    run(lambda thread, threads: None)  # helpers serve on
 
 
 def test_a_forked_child_has_helpers_of_its_own():

@@ -11,7 +11,7 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, TypeVar
 
 from splatpainter.kernels.library import Kernel
@@ -114,6 +114,37 @@ def beside(function: Callable[[], Result]) -> Callable[[], Result]:
         return results[0]
 
     return result
+
+
+def ahead(items: Iterable[Item]) -> Iterator[Item]:
+    """The same items, each made on a thread beside the caller's while that works with the one before: memory of the one
+    before the last may be used again. Raises what making them raises. With one thread they are made when asked for."""
+    if threads() == 1:
+        yield from items
+        return
+    source = iter(items)
+    made: list[Item] = []
+    ends = False
+
+    def make(thread: int, count: int) -> None:
+        nonlocal ends
+        try:
+            made.append(next(source))
+        except StopIteration:
+            ends = True
+
+    while True:
+        helper = _Helper.take()
+        helper.begin(make, 1, 2)
+        try:
+            if made:
+                yield made.pop(0)
+        finally:
+            error = helper.end()
+        if error is not None:
+            raise error
+        if ends:
+            return
 
 
 class _Helper:

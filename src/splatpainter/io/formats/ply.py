@@ -32,7 +32,7 @@ from splatpainter.io.formats.ply_rows import BinaryRows, Rows, text_rows
 from splatpainter.io.formats.reuse import differs, row_problems
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import beside, run
+from splatpainter.kernels.parallel import ahead, run
 from splatpainter.kernels.row_bits import row_bits
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, ColorSpace, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -147,7 +147,7 @@ def write_ply(path: Path, splats: Splats) -> None:
     with files.writing(path) as file:
         file.write(header.raw)
         file.write(record.before)
-        for last, block in _encode(splats, record, old, np.asarray(origin, np.int64)):
+        for last, block in ahead(_encode(splats, record, old, np.asarray(origin, np.int64))):
             file.write(block[: -len(header.newline)] if last and record.unended else block)
         file.write(record.after)
 
@@ -378,7 +378,8 @@ def stored_positions(record: PlyFile) -> Floats | None:
 def _encode(
     splats: Splats, record: PlyFile, old: Splats | None, origin: np.ndarray
 ) -> Iterator[tuple[bool, memoryview]]:
-    """(is it the last block, bytes) for BLOCK_ROWS rows at a time."""
+    """(is it the last block, bytes) for BLOCK_ROWS rows at a time; the bytes of the block before the last one may be
+    others by then."""
     vertex = record.header.element("vertex")
     assert vertex is not None
     plan = columns_of(vertex.names, Path("source"))
@@ -415,27 +416,20 @@ def _encode(
 
 
 def _encode_new(splats: Splats, plan: Mapping[str, tuple[str, ...]], layout: Rows) -> Iterator[tuple[bool, memoryview]]:
-    """The same of Gaussians of no file, in float properties: a block is made while the one before it is written."""
+    """The same of Gaussians of no file, in float properties."""
     assert isinstance(layout, BinaryRows)
     columns, width = layout.column_numbers(_in_order(plan)), len(layout.records.dtype.names or ())
     buffers = [np.zeros((min(len(splats), NEW_BLOCK_ROWS), width), np.uint32) for _ in range(2)]
     limits = (activations.MIN_SCALE, activations.MIN_OPACITY, activations.MAX_OPACITY)
 
-    def packed_rows(start: int) -> np.ndarray:
+    for start in range(0, len(splats), NEW_BLOCK_ROWS):
         rows = slice(start, start + NEW_BLOCK_ROWS)
         means, quats, scales, opacities, sh = (readonly(getattr(splats, name)[rows], np.float32) for name in ATTRIBUTES)
         colors = sh.reshape(len(sh), sh.shape[1] * sh.shape[2])
         records = buffers[start // NEW_BLOCK_ROWS % 2][: len(means)]
         bits = means.view(np.uint32), quats.view(np.uint32), scales, opacities, colors.view(np.uint32)
         run(kernels.pack_ply_rows, *bits, columns, *limits, records)
-        return records
-
-    next_rows = beside(functools.partial(packed_rows, 0))
-    for end in range(NEW_BLOCK_ROWS, len(splats) + NEW_BLOCK_ROWS, NEW_BLOCK_ROWS):
-        records, is_last = next_rows(), end >= len(splats)
-        if not is_last:
-            next_rows = beside(functools.partial(packed_rows, end))
-        yield is_last, records.view(np.uint8).data
+        yield rows.stop >= len(splats), records.view(np.uint8).data
 
 
 def _is_stored_as_it_is(attribute: str, splats: Splats, span: float | None) -> bool:
