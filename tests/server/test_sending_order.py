@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
@@ -22,7 +23,9 @@ from splatpainter.server.page_state import PageState
 from splatpainter.server.schema import schema_hash
 from splatpainter.server.studio import Studio
 from splatpainter.server.work_queue import Ticket
-from tests.support.studio_scenes import dab, make_studio, view
+from splatpainter.session.project import database
+from splatpainter.session.project.project_file import Project
+from tests.support.studio_scenes import dab, live, make_studio, view
 
 SQUARE = {"x": 36, "y": 36, "width": 24, "height": 24, "rgba": dab(24, (20, 20, 230, 255))}
 SECONDS = 60.0
@@ -214,3 +217,27 @@ def test_a_preview_that_a_writer_overtakes_leaves_no_colors_of_the_one_before(
 
     socket = converse(studio, talk)
     assert socket.mirror.agrees(studio.session.splats) and studio.session.version == 2
+
+
+def test_an_answer_does_not_wait_until_the_log_is_folded_and_the_next_command_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    studio, answered, order = make_studio(tmp_path), threading.Event(), list[str]()
+    settled, commit = Project._settled, Project.commit
+
+    def noted(project: Project) -> Project:
+        order.append("folds" if answered.wait(SECONDS) else "nobody was answered")
+        return settled(project)
+
+    def noted_commit(project: Project, *values: Any) -> set[str]:
+        order.append("commits")
+        return commit(project, *values)
+
+    with live(studio) as served, served.greeted() as browser:
+        monkeypatch.setattr(Project, "_settled", noted)
+        monkeypatch.setattr(Project, "commit", noted_commit)
+        browser.do("layer.new", name="first")
+        assert database.has_log(studio.session.path or tmp_path), "on the disk, and not folded"
+        answered.set()
+        browser.do("layer.new", name="second")
+        assert order[:3] == ["commits", "folds", "commits"]

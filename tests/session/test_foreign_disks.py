@@ -225,6 +225,35 @@ def test_a_copy_of_the_one_file_has_all_that_was_acknowledged(path: Path) -> Non
             assert print_of(other) == print_of(session) and len(other.bookmarks) == 1
 
 
+def test_what_is_settled_later_is_durable_at_once_and_whole_before_anything_looks_at_the_file(path: Path) -> None:
+    copy = path.with_name("copy.splatproj")
+    with flat(project=path) as session:
+        with session.files.settling_later():
+            session.layers.new("first")
+        assert database.has_log(path)
+        # Whoever opens it with its log has all of it, as after a crash.
+        with load(path, readonly=True) as reader:
+            assert [layer.name for layer in reader.layers] == ["first"]
+        session.files.settle()
+        assert not database.has_log(path)
+        shutil.copyfile(path, copy)
+        with load(copy, readonly=True) as alone:
+            assert [layer.name for layer in alone.layers] == ["first"]
+        for act in (
+            lambda: session.layers.new("next"),
+            lambda: session.files.save_copy(path.with_name("saved.splatproj")),
+            lambda: session.files.is_in_place,
+            lambda: session.close(),
+        ):
+            with session.files.settling_later():
+                session.layers.new("later")
+            assert database.has_log(path)
+            act()
+            assert not database.has_log(path)
+    with load(path.with_name("saved.splatproj"), readonly=True) as saved:
+        assert [layer.name for layer in saved.layers] == ["first", "later", "next", "later"]
+
+
 def test_a_reader_keeps_no_command_waiting(path: Path) -> None:
     copy = path.with_name("copy.splatproj")
     with flat(project=path) as session:

@@ -114,7 +114,7 @@ class Hub:
             nonlocal seconds, opened, before
             start, before = time.perf_counter(), self.studio.session_id
             try:
-                answer = handler.run(context, command)
+                answer = self._run(handler, context, command)
                 opened = self.studio.session_id != before
                 # Before the answer: whoever reads it may ask for the state that it speaks of.
                 if handler.writes:
@@ -148,6 +148,18 @@ class Hub:
         for line in self.studio.take_news() if handler.writes else ():
             self.publish(ToastEvent(level="warning", message=line))
         return answer.model_copy(update={"seconds": round(seconds, 4)})
+
+    def _run(self, handler: Handler, context: CommandContext, command: Command) -> Answer:
+        """The answer of a command, on its thread. What it wrote is on the disk; the log is folded into the project file
+        when the answer is on its way, before the next command that writes."""
+        if not handler.writes:
+            return handler.run(context, command)
+        project = self.studio.session.files
+        try:
+            with project.settling_later():
+                return handler.run(context, command)
+        finally:
+            self.queue.follow(project.settle)
 
     def _writer(self, loop: asyncio.AbstractEventLoop) -> Callable[[Callable[[], Any]], Any]:
         """CommandContext's `write` for this loop."""

@@ -6,6 +6,7 @@ Knows no session. A job has a Ticket, by which it reports progress and learns th
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 from collections.abc import Callable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
@@ -88,6 +89,12 @@ class WorkQueue:
             return future.result()
         except CancelledError:
             raise Cancelled from None
+
+    def follow(self, work: Callable[[], object]) -> None:
+        """Let `work` be the next of the lane `write` but for jobs that wait already, in whatever time nobody waits for;
+        not at all where the queue is being closed. Nobody hears what it raises."""
+        with contextlib.suppress(RuntimeError):  # closed
+            self._lanes["write"].submit(work)
 
     def close(self) -> None:
         """Wait for the jobs in work; those that have not begun are dropped."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -190,6 +191,15 @@ class SessionFileCommands:
                 fresh.close()
                 raise
             old.close()
+
+    def settling_later(self) -> AbstractContextManager[None]:
+        """What commands do meanwhile is on the disk when they return, but in the log beside the project file until
+        `settle`, or until the session next looks at the file: for a server that has an answer to give in between."""
+        return self._core.project.settling_later()
+
+    def settle(self) -> None:
+        """Bring what is in the log into the one file."""
+        self._core.project.settle()
 
     @property
     def can_be_taken_over(self) -> bool:

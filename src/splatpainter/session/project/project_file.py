@@ -1,8 +1,9 @@
 """The project file: one SQLite database that every acknowledged change is in. Knows no painter.
 
 WAL with synchronous=FULL while open: a commit is on disk when it returns, and is then folded back into the one file, so
-that a copy of that file is whole. Before each commit the file is looked at: it may have been replaced. All access goes
-through one connection and its lock, so several threads may read while one writes.
+that a copy of that file is whole; the studio folds it when its answer is on the way (`settling_later`). Before each
+commit the file is looked at: it may have been replaced. All access goes through one connection and its lock, so several
+threads may read while one writes.
 """
 
 from __future__ import annotations
@@ -89,6 +90,9 @@ class Project:
         SQLite reads only that."""
         self._has_written = False
         """Whether something was committed since it was opened."""
+        self._is_settled = True
+        """Whether all that was committed is folded into the file, as far as readers let it."""
+        self._settles_later = False
         self._mutex = threading.RLock()
         self._bookmarks: list[Bookmark] | None = None
         self._steps: list[Step] | None = None
@@ -167,6 +171,8 @@ class Project:
         """Fold the log into the one file. Where that was replaced or deleted by another program, what was done in it
         goes into a file beside it (is_copied: it is in another one already). Closing twice does nothing."""
         with self._mutex:
+            if self._lock is not None:
+                self.settle()
             problem = "" if self._file is None or self._lock is None else self._file.is_lost()
             if problem and self._has_written and not is_copied:
                 self._rescue(problem)
@@ -202,6 +208,7 @@ class Project:
         reached, ValueError where another program wrote into it: nothing that is committed would be found again."""
         if self._file is not None:
             with self._mutex:
+                self.settle()
                 self._file.check(self._spare is not None)
                 # Two that opened it before either could see the other's note.
                 if other := holder.other_holder(self.path):
@@ -218,6 +225,22 @@ class Project:
             finally:
                 self._db.execute(f"PRAGMA busy_timeout={database.WAIT_SECONDS * 1000:.0f}").fetchall()
 
+    @contextlib.contextmanager
+    def settling_later(self) -> Iterator[None]:
+        """What is committed meanwhile is on the disk as ever, and stays in the log until `settle`, or whatever looks at
+        the file next: for whoever has an answer to give in between."""
+        self._settles_later = True
+        try:
+            yield
+        finally:
+            self._settles_later = False
+
+    def settle(self) -> None:
+        """Fold what was committed into the file, unless that is done."""
+        with self._mutex:
+            if not self._is_settled:
+                self._settled()
+
     def _settled(self) -> Project:
         """This, with what was written folded into the file, which is from now on as it is now."""
         if self._file is not None:
@@ -225,12 +248,14 @@ class Project:
             self._file.note(self._db)
             spare = spare_copy(self.path)
             self._spare = None if self._file.is_lost() else spare
+        self._is_settled = True
         return self
 
     def copy(self, path: Path, overwrite: bool = False) -> None:
         """Copy the project to another file, compact; it appears complete or not at all. Raises ValueError: it exists,
         is open elsewhere, or cannot be written; another program wrote into this one."""
         with self._mutex:  # nobody is between a commit and what is noted of it
+            self.settle()
             is_overwritten = self._file is not None and self._file.is_overwritten()
             spare = self._spare if is_overwritten else None
             if is_overwritten and spare is None:
@@ -519,8 +544,9 @@ class Project:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
-            self._has_written = True
-            self._settled()
+            self._has_written, self._is_settled = True, False
+            if not self._settles_later:
+                self.settle()
 
 
 class Transaction:
