@@ -47,10 +47,12 @@ class Edit:
             image = image.astype(np.float32) / 255
         if image.dtype.kind != "f":
             raise ValueError(f"edit: expected a picture of floats in 0..1 or of uint8, got {image.dtype}")
-        if not np.isfinite(image).all():
+        # Both ends say all of it, without a second picture: a NaN is both.
+        largest = max(-image.min(), image.max())
+        if not np.isfinite(largest):
             raise ValueError("edit: the picture has NaN or infinite pixels")
-        if np.abs(image).max() > MAX_PIXEL_VALUE:
-            raise ValueError(f"edit: expected a picture of floats in 0..1, got values up to {np.abs(image).max():g}")
+        if largest > MAX_PIXEL_VALUE:
+            raise ValueError(f"edit: expected a picture of floats in 0..1, got values up to {largest:g}")
         object.__setattr__(self, "image", np.ascontiguousarray(image, np.float32))
         if self.mask is not None:
             mask = np.asarray(self.mask)

@@ -36,7 +36,7 @@ class NothingPaintableError(ValueError):
 
 def is_wide(mask: np.ndarray) -> bool:
     """Whether an edit of these pixels ([H, W] bool) is one of the whole picture."""
-    return bool(mask.mean() > WIDE_EDIT_FRACTION)
+    return bool(np.count_nonzero(mask) / mask.size > WIDE_EDIT_FRACTION)
 
 
 @dataclass(frozen=True)

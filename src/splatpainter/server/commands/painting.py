@@ -234,7 +234,7 @@ def end(context: CommandContext, request: PaintEnd) -> LayerMade:
             picture = stroke.picture(snapshot.splats, session.original, snapshot.version)
         else:
             picture = stroke.over(render_display(splats, stroke.camera))
-        image = from_display(picture.astype(np.float32), splats.color_space)
+        image = from_display(np.asarray(picture, np.float32), splats.color_space)
         cover = None if request.spread is None else stroke.cover
         edits = [Edit(image, stroke.camera, stroke.mask, request.name, cover)]
         half = context.page.mirrored.get(request.stroke) if request.spread is None else None  # it goes all around

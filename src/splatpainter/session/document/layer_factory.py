@@ -125,7 +125,7 @@ def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = 
     camera's size."""
     # A table of 256 levels: the same conversion for every pixel, and much quicker than one for each.
     levels = from_display(np.arange(256, dtype=np.float32) / 255, space)
-    return levels[_pixels(data, camera, where, "RGB")]
+    return levels.take(_pixels(data, camera, where, "RGB"), mode="clip")  # twice as quick as an index
 
 
 def encode_mask_part(shows: np.ndarray, share: np.ndarray) -> bytes:
