@@ -59,7 +59,8 @@ def lift_colors(
     if not rounds:
         return out
     # A colour above the ceiling that the asset had already may stay: it is drawn, and pulling it down would show.
-    first = out[editable]
+    at = np.flatnonzero(editable)
+    first = out.take(at, 0)
     colors, ceiling = first, np.maximum(first, MAX_COLOR)
     towards = sirt_steps(view, target, weights, editable)
     total = towards.weight
@@ -71,7 +72,7 @@ def lift_colors(
         # so the order of Gaussians has no part in the result.
         gain = towards.residual(colors)
         colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)
-    out[editable] = colors
+    out[at] = colors
     return out
 
 

@@ -215,7 +215,7 @@ def resurface(
     missing = laid.tiles & ~drawn
     if missing.any():
         # Of alpha and depth, which nobody reads, only the pages of these tiles become memory.
-        around.redraw(missing, target, *np.zeros((2, *target.shape[:2]), target.dtype))
+        around.redraw(missing, target, *(np.zeros(target.shape[:2], target.dtype) for _ in range(2)))
     weights = np.where(laid.painted, laid.covered, RESURFACING.unedited_weight).astype(np.float32)
     return _assemble(splats, laid, _recolored(splats, laid, around, target, weights, options), first_appended)
 
@@ -392,7 +392,7 @@ def _recolored(
     lifted = lift_colors(
         view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=RESURFACING.color_step_fraction
     )
-    before, lifted, ids = view.unclamped_colors[editable], lifted[editable], ids[editable]
+    before, lifted, ids = view.unclamped_of(editable), lifted.take(editable, 0), ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     sh = fresh.sh
     # The sheet keeps its parents' bands whole: `_sheet` has damped them already; pieces are damped as old Gaussians
@@ -400,9 +400,9 @@ def _recolored(
     for chosen, damping in ((ids >= first, 1.0), ((ids >= count) & (ids < first), options.damping)):
         chosen &= moved
         fresh_ids = ids[chosen] - count
-        sh[fresh_ids] = recolor(sh[fresh_ids], before[chosen], lifted[chosen], damping)
+        sh[fresh_ids] = recolor(sh.take(fresh_ids, 0), before[chosen], lifted[chosen], damping)
     hanging = moved & (ids < count)
-    recolored = recolor(splats.sh[ids[hanging]], before[hanging], lifted[hanging], options.damping)
+    recolored = recolor(splats.sh.take(ids[hanging], 0), before[hanging], lifted[hanging], options.damping)
     return _Recolored(ids[hanging], recolored)
 
 

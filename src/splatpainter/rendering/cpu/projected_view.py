@@ -122,6 +122,11 @@ class ProjectedView:
         """[M, 3] the same, not clamped."""
         return self.projected[:, geometry.UNCLAMPED_RED :]
 
+    def unclamped_of(self, entries: np.ndarray) -> np.ndarray:
+        """[K, 3] `unclamped_colors` of some entries ([K] int64): whole rows are taken several times as fast as parts of
+        them."""
+        return self.projected.take(entries, 0)[:, geometry.UNCLAMPED_RED :]
+
     def tiles_of(self, gaussian_mask: np.ndarray) -> Bools:
         """[TH, TW] bool: drawn tiles that the ellipses of these Gaussians ([N] bool) touch."""
         selected = gaussian_mask[self.gaussian_ids][self.flatten_ids]  # [P]

@@ -182,12 +182,13 @@ class Stroke:
         moved = self._lift(canvas, _grown(box, self.camera))
         # Only what changed visibly is sent: previews go out with every dab. The others have the colours of before, and
         # were judged then.
-        changed = moved[row_max(np.abs(canvas.colors[moved] - canvas.sent[moved])) > MIN_COLOR_CHANGE]
-        canvas.sent[changed] = canvas.colors[changed]
+        change = np.abs(canvas.colors.take(moved, 0) - canvas.sent.take(moved, 0))
+        changed = moved[row_max(change) > MIN_COLOR_CHANGE]
+        canvas.sent[changed] = canvas.colors.take(changed, 0)
         # Frames want their Gaussians in ascending order.
         changed = changed[np.argsort(view.gaussian_ids[changed])]
         ids = view.gaussian_ids[changed]
-        return ids, recolor(splats.sh[ids], view.unclamped_colors[changed], canvas.colors[changed])
+        return ids, recolor(splats.sh.take(ids, 0), view.unclamped_of(changed), canvas.colors.take(changed, 0))
 
     def _lift(self, canvas: _Canvas, box: Box) -> np.ndarray:
         """SIRT steps on the colours within a window of the view. Returns [E] the view's entries that they moved."""
@@ -209,7 +210,7 @@ class Stroke:
         movable = canvas.movable.take(entries)
         sirt = sirt_steps(small, target, everywhere, movable)
         step, moved = 1 / np.maximum(sirt.weight, 1e-6)[:, None], entries[movable]
-        colors, ceiling = canvas.colors[moved], np.maximum(view.unclamped_colors[moved], MAX_COLOR)
+        colors, ceiling = canvas.colors.take(moved, 0), np.maximum(view.unclamped_of(moved), MAX_COLOR)
         # A few steps are enough for a preview; the next dab goes on from there.
         for _ in range(SIRT_STEPS):
             colors = np.clip(colors + step * sirt.residual(colors), 0, ceiling).astype(np.float32)
