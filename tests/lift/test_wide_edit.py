@@ -15,6 +15,7 @@ from splatpainter.fit import edited as fit_module
 from splatpainter.lift import edits as edits_module
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.local import wide_edit
+from splatpainter.lift.local.local_edit import WIDE_EDIT_FRACTION, fills_view
 from splatpainter.lift.local.wide_edit import WideLift, lift_wide
 from splatpainter.lift.masks import changed_throughout, median_change
 from splatpainter.lift.options import LOCAL_DEFAULTS
@@ -229,6 +230,44 @@ def test_strong_detail_of_fine_gaussians_is_no_new_paint(monkeypatch) -> None:
         assert median_change(edited, before, np.asarray(view.alpha)) > edits_module.EDITS.min_repainted
         edits_module.lift_local_views(splats, grid, [view], "lift", features=False, surface=Surface.of(splats))
         assert bool(calls) == is_detail
+
+
+def rod(around: int, along: int, stripes: float = 0.0) -> Splats:
+    """Along x, of radius 0.15, with stripes of that strength."""
+    angles, steps = np.arange(around) * 2 * np.pi / around, np.linspace(-1, 1, along)
+    a, x = (part.ravel() for part in np.meshgrid(angles, steps))
+    colors = 0.5 + 0.25 * np.stack([np.sin(5 * x + a), np.cos(4 * x - a), np.sin(6 * x)], 1)
+    colors += stripes * np.sin(30 * x + 3 * a)[:, None]
+    scales = 0.75 * np.broadcast_to([2 / along, 0.3 * np.pi / around, 0.002], (len(a), 3))
+    means = np.stack([x, -0.15 * np.sin(a), 0.15 * np.cos(a)], 1)
+    quats = np.stack([np.cos(a / 2), np.sin(a / 2), 0 * a, 0 * a], 1)
+    sh, opacities = (colors[:, None] - 0.5) / SH_C0, np.full(len(a), 0.95, np.float32)
+    means, quats, scales, sh = (values.astype(np.float32) for values in (means, quats, scales, sh))
+    return Splats(means, quats, scales, opacities, sh)
+
+
+def test_detail_of_a_thin_object_is_detail_however_little_of_the_picture_it_fills() -> None:
+    """From close by: a third of the picture, all that it shows of the asset, of which most lies beside."""
+    asset, truth = rod(12, 26), rod(48, 120, 0.1)
+    camera, beside = (
+        look_at(position, (0, 0, 0), width=PX, height=PX, fov=50, background=(0.5, 0.5, 0.5))
+        for position in ((0.05, 0.1, 1.2), (0.4, -0.6, 1.0))
+    )
+    mask = sp.render(truth, camera).alphas[0, ..., 0] > 0.5
+    assert mask.mean() < WIDE_EDIT_FRACTION
+    (view,) = edit_views(asset, [camera], [picture(truth, camera)], [mask])
+    lifted = edits_module.lift_local_views(asset, None, [view], "lift", surface=Surface.of(asset))
+    assert not len(lifted.replaced)  # no sheet
+    before, after = (psnr(picture(splats, beside), picture(truth, beside)) for splats in (asset, lifted.splats))
+    assert after > before + 1.5
+    # Part of what is shown is paint, and so is a view of the whole asset.
+    half = mask & (np.arange(PX) < PX // 2)
+    assert fills_view(asset, camera, mask) and not fills_view(asset, camera, half)
+    distant = look_at((0, 0, 3), (0, 0, 0), width=PX, height=PX, fov=42)
+    assert not fills_view(asset, distant, sp.render(asset, distant).alphas[0, ..., 0] > 0.5)
+    # New colours that its Gaussians can follow are paint in such a close-up, too.
+    inverted = replace(view, edited=np.where(mask[..., None], 1 - view.before, view.before))
+    assert len(edits_module.lift_local_views(asset, None, [inverted], "lift", surface=Surface.of(asset)).replaced)
 
 
 def test_a_view_beside_the_asset_is_named(asset, views) -> None:

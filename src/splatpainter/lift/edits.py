@@ -22,7 +22,7 @@ from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_vie
 from splatpainter.lift.features import global_features, local_features, no_features
 from splatpainter.lift.global_edit import Predict, lift_global
 from splatpainter.lift.local.evidence import Evidence
-from splatpainter.lift.local.local_edit import NothingPaintableError, gaussians_in_mask, is_wide
+from splatpainter.lift.local.local_edit import NothingPaintableError, fills_view, gaussians_in_mask, is_wide
 from splatpainter.lift.local.wide_edit import lift_wide
 from splatpainter.lift.masks import median_change
 from splatpainter.lift.options import GLOBAL_DEFAULTS, LOCAL_DEFAULTS, GlobalOptions, LocalOptions, ResidualBase
@@ -111,7 +111,8 @@ def lift_local_views(
     if base == "lift":
         # Whether the edit fills its pictures decides the way: a zoom-in or restyled view is detail, paint on a part is
         # paint.
-        close = surface is not None and options.resurface and all(is_wide(view.mask) for view in views)
+        close = surface is not None and options.resurface
+        close = close and all(fills_view(splats, view.camera, view.mask) for view in views)
         if close and not _all_repainted(splats, views, options, originals):
             lifted = _together(splats, views, options)
         elif surface is None or not options.resurface:
@@ -157,8 +158,8 @@ def lift_global_views(
 
 
 def _all_repainted(splats: Splats, views: Sequence[EditView], options: LocalOptions, originals: int | None) -> bool:
-    """Whether every view was repainted, shows much of the asset, and by Gaussians nearly as fine as its pixels
-    (`paint.is_fine`): it is no zoom-in."""
+    """Whether every view was repainted; and where most of its picture was, shows much of the asset, and by Gaussians
+    nearly as fine as its pixels (`paint.is_fine`): it is no zoom-in."""
     count = len(splats) if originals is None else originals
     for view in views:
         with errors_name(view.name):
@@ -171,7 +172,7 @@ def _all_repainted(splats: Splats, views: Sequence[EditView], options: LocalOpti
             if not painted.any() or median_change(view.edited, view.before, alpha) < EDITS.min_repainted:
                 return False
             projected = project(splats, view.camera, tiles=tiles_of_mask(painted))
-            if not is_fine(
+            if is_wide(view.mask) and not is_fine(
                 painted, gaussians_in_mask(splats, view.camera, painted, None, projected), count, count, options
             ):
                 return False

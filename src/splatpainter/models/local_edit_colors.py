@@ -23,7 +23,7 @@ from splatpainter.lift.colors import MAX_COLOR, lift_colors
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.edits import LiftedEdit
 from splatpainter.lift.local.evidence import footprints
-from splatpainter.lift.local.local_edit import is_wide
+from splatpainter.lift.local.local_edit import fills_view
 from splatpainter.models.local_network import LocalNetwork, Patches, Readers
 from splatpainter.models.picture_patches import PatchReaders, PatchTokens, cosine_basis, picture_regions
 from splatpainter.rendering.cpu.projected_view import project
@@ -96,9 +96,9 @@ def repainted(network: LocalNetwork, asset: Splats, lifted: LiftedEdit, views: S
 
 
 def applied(lifted: LiftedEdit, answer: NetworkColors, views: Sequence[EditView]) -> LiftedEdit:
-    """The lifted edit as an answer changes it: `held`, and of close-ups (views that are edited nearly everywhere) only
+    """The lifted edit as an answer changes it: `held`, and of close-ups (views whose whole content is edited) only
     as far as they show each Gaussian."""
-    if not all(is_wide(view.mask) for view in views):
+    if not all(fills_view(lifted.splats, view.camera, view.mask) for view in views):
         return held(lifted, answer, views)
     parts = [_visible_part(lifted, view) for view in views]
     share = np.max([visible for visible, _ in parts], 0)[:, None]

@@ -15,6 +15,7 @@ from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.rendering.cpu.projected_view import Backprojection, MaskSums, ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
@@ -24,6 +25,17 @@ MIN_VISIBLE_SHARE = 0.05
 NOTHING_THERE = "edit: no Gaussian contributes to the masked pixels; paint on the asset, or check the camera"
 WIDE_EDIT_FRACTION = 0.4
 """An edit of a larger share of the picture's pixels than this is one of what it shows as a whole."""
+CLOSE_UP_FRACTION = 0.1
+"""The least share of the picture's pixels that detail of a close-up changes. Taste."""
+CLOSE_UP_COVER = 0.75
+"""Share of what a close-up shows of the asset from which an edit of it is one of all that. Pictures of the truth in
+close-ups that the asset fills by 20 to 40 % cover 0.75 to 0.99 of it (25 of as many objects)."""
+CLOSE_UP_INSIDE = 0.75
+"""Share of the Gaussians that lie in a view above which it is one of the asset and no close-up. Taste."""
+CLOSE_UP_SAMPLE = 16_384
+"""About how many Gaussians are looked at for that."""
+SOLID_ALPHA = 0.5
+"""Pixels that the asset covers by more show it."""
 MAX_DOUBT_WIDE = 0.8
 """Above this doubt (Evidence.doubt) about a wide edit, split or not, Gaussians are neither split nor given a detail
 layer: detail that is everywhere finer than the asset, as in close-ups, would be right in this view alone. What is
@@ -37,6 +49,23 @@ class NothingPaintableError(ValueError):
 def is_wide(mask: np.ndarray) -> bool:
     """Whether an edit of these pixels ([H, W] bool) is one of the whole picture."""
     return bool(np.count_nonzero(mask) / mask.size > WIDE_EDIT_FRACTION)
+
+
+def fills_view(splats: Splats, camera: Camera, mask: np.ndarray) -> bool:
+    """Whether an edit of these pixels ([H, W] bool) is one of the whole picture, or, in a close-up, of all that it
+    shows of the asset (numpy): a thin object fills little of any picture."""
+    if is_wide(mask):
+        return True
+    if mask.mean() < CLOSE_UP_FRACTION:
+        return False
+    # The cheapest test first: most views show the whole asset.
+    some = np.ascontiguousarray(splats.means[:: max(len(splats) // CLOSE_UP_SAMPLE, 1)], np.float64)
+    pixels, depths = camera.within(splats.offset).project(some)
+    inside = (depths > 0) & ((pixels >= 0) & (pixels < mask.shape[::-1])).all(1)
+    if inside.mean() > CLOSE_UP_INSIDE:
+        return False
+    solid = drawn_view(splats, camera).alphas > SOLID_ALPHA
+    return bool((mask & solid).sum() > CLOSE_UP_COVER * max(int(solid.sum()), 1))
 
 
 @dataclass(frozen=True)

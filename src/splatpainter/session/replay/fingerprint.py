@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from splatpainter.models.local_network import LocalNetwork
     from splatpainter.models.model import SplatPainterModel
 
-LIFT = "lift-1"
+LIFT = "lift-2"
 """Which lift it is: another number with every change that gives other Gaussians. Results that are stored stay as they
 are; where one has to be computed anew it is lifted as now, and the layer's note says so."""
 

@@ -42,7 +42,7 @@ def read_set_of(
     """What a local lift of the masked pixels ([H, W] bool) reads of `splats`, whose voxels `grid` makes or has; None
     where it could not be applied. originals: how many of the first are the original's, on whose surface sheets are
     laid."""
-    from splatpainter.lift.local.local_edit import is_wide
+    from splatpainter.lift.local.local_edit import fills_view
     from splatpainter.lift.sheets.paint import read_by_edit
     from splatpainter.rendering.cpu.projected_view import project
     from splatpainter.voxels.raycast import is_inside
@@ -56,7 +56,7 @@ def read_set_of(
         return None
     # In the order of the asset, which decides sums in the arithmetic and so the bits.
     gaussian_ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
-    if is_wide(mask):  # views from all around count (lift/local/wide_edit.py)
+    if fills_view(splats, camera, mask):  # views from all around count (lift/local/wide_edit.py)
         gaussian_ids = np.arange(len(splats))
     # How many are the original's counts too: only the indices of the others are free.
     digest = hashlib.sha256(np.packbits(may_split[gaussian_ids]).tobytes())
