@@ -31,6 +31,7 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView, errors_name
+from splatpainter.lift.local.close_up_colors import sharpened
 from splatpainter.lift.local.joint_colors import TargetPicture, recolored_together
 from splatpainter.lift.local.local_edit import MIN_VISIBLE_SHARE, NOTHING_THERE, split_local
 from splatpainter.lift.local.views_around import views_around
@@ -104,6 +105,11 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     # Both kinds of pictures go into one solve, each with its weight.
     further = [TargetPicture.of(project(split.splats, camera), image, use, movable) for camera, image, use in around]
     result = replace(split.splats, sh=recolored_together(split.splats, pictures, further, options, degree))
+    # What Gaussians were moved for is detail of the truth, of which the rounds that views around hold leave some out.
+    if moved is not splats and options.rounds:
+        before = splats.sh[np.append(np.arange(len(splats)), split.parents), 0]
+        sh = sharpened(result, before, views, [_solid(view) for view in views], movable)
+        result = replace(result, sh=sh)
     return replace(split, splats=result, touched=changed_rows(splats, result))
 
 
