@@ -6,7 +6,7 @@ in a few steps of 3DGS towards all views at once, held by views of the asset fro
 enough for the pictures that an asset was made from are off by pixels in close-ups, and no colour mends that. Where it
 explains little of the change (another light, noise) they stay where they are. Then those over which the rest of the
 change varies are split, in view after view, and all that the views show take new colours, towards all pictures
-together. Two things hold these:
+together; where Gaussians were moved, with more of the close-ups' own (close_up_colors.py). Two things hold these:
 
 - a Gaussian takes the slower steps the less of it the views show, so that what shimmers through from behind, or reaches
   out of the picture, moves little in the few rounds there are;
