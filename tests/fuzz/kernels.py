@@ -532,6 +532,31 @@ def meshes(rng: np.random.Generator, dtype: type) -> None:
     visible_points(mesh, view(rng), points)
 
 
+def pictures(rng: np.random.Generator, dtype: type) -> None:
+    """Packed pictures, whole and damaged."""
+    import io
+
+    from PIL import Image
+
+    from splatpainter.pictures.jpeg_data import damage_of_jpeg
+    from splatpainter.pictures.whole_files import _bytes_of_lzw
+
+    height, width = rng.integers(1, 70, 2)
+    pixels = rng.normal(128, rng.choice([0, 5, 60]), (height, width, 3)).clip(0, 255).astype(np.uint8)
+    file = io.BytesIO()
+    options = {"quality": int(rng.choice([1, 60, 95])), "progressive": bool(rng.random() < 0.5)}
+    restarts = {"restart_marker_blocks": int(rng.integers(1, 5))} if rng.random() < 0.4 else {}
+    Image.fromarray(pixels).save(file, "JPEG", subsampling=int(rng.integers(0, 3)), **options, **restarts)
+    data = np.frombuffer(file.getvalue(), np.uint8).copy()
+    assert not damage_of_jpeg(data.tobytes())
+    for _ in range(8):
+        broken = data.copy()
+        at = rng.integers(2, len(data), int(rng.integers(1, 9)))
+        broken[at] = rng.integers(0, 256, len(at))
+        damage_of_jpeg(broken[: int(rng.integers(2, len(data) + 1))].tobytes())
+        _bytes_of_lzw(rng.integers(0, 256, int(rng.integers(0, 9000)), np.uint8).tobytes(), 1 << 20)
+
+
 CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "forward": forward,
     "drawing": drawing,
@@ -552,6 +577,7 @@ CASES: dict[str, Callable[[np.random.Generator, type], None]] = {
     "files": files,
     "numbers": numbers,
     "meshes": meshes,
+    "pictures": pictures,
 }
 ALL = ",".join(name for name in CASES if name != "forward")
 """But "forward", which "drawing" does too."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -235,3 +237,131 @@ def test_a_picture_that_is_transparent_everywhere_says_so(tmp_path: Path) -> Non
     path.with_suffix(".json").write_text(look_at((0, 0, -3), (0, 0, 0), width=24, height=16).to_json())
     with pytest.raises(ValueError, match=r"a.png: is transparent everywhere: there is no paint in it"):
         edit_from_files(path)
+
+
+def noisy(width: int = 96, height: int = 80) -> Image.Image:
+    """Flat above, noise below: what lacks of it is the part with detail."""
+    pixels = np.full((height, width, 3), 200, np.uint8)
+    pixels[16:] = np.random.default_rng(0).integers(0, 256, (height - 16, width, 3))
+    return Image.fromarray(pixels)
+
+
+JPEGS: dict[str, dict[str, Any]] = {
+    "sequential": {"quality": 90},
+    "progressive": {"quality": 90, "progressive": True},
+    "with restarts": {"quality": 90, "restart_marker_rows": 1},
+    "fine colours": {"quality": 75, "subsampling": 0, "optimize": True},
+}
+
+
+@pytest.mark.parametrize("options", JPEGS.values(), ids=JPEGS)
+def test_a_jpeg_with_a_part_lost_is_no_paint(tmp_path: Path, options: dict[str, Any]) -> None:
+    """Decoders fill up with grey and say nothing: a cut one that a program closed again, and lost or foreign bytes."""
+    path = tmp_path / "a.jpg"
+    noisy().save(path, **options)
+    data, rng = path.read_bytes(), np.random.default_rng(1)
+    assert read_picture(path).size == (96, 80)
+    half, most = len(data) // 2, len(data) * 3 // 4
+    damaged = [
+        data[:half] + b"\xff\xd9",
+        data[:most] + b"\xff\xd9",
+        data[:half] + data[half + 90 :],
+        data[:most] + rng.bytes(40) + data[most + 40 :],
+        data[:half] + bytes(300) + data[half + 300 :],
+    ]
+    for part in damaged:
+        path.write_bytes(part)
+        with pytest.raises(ValueError, match=r"a.jpg: damaged picture .*\d+ % of the way down.*: get it again"):
+            read_picture(path)
+
+
+def test_sound_jpegs_of_all_kinds_are_read(tmp_path: Path) -> None:
+    """Odd sizes, thinned colours, grey, inks, blocks between restarts, zeros in place of ones behind the last bit."""
+    path, rng = tmp_path / "a.jpg", np.random.default_rng(2)
+    for number in range(60):
+        width, height = ((1, 1), (17, 33), (64, 40), (129, 65), (255, 3))[number % 5]
+        pixels = rng.normal(128, (0, 5, 60)[number % 3], (height, width, 3)).clip(0, 255).astype(np.uint8)
+        image = Image.fromarray(pixels).convert(("RGB", "L", "RGB", "CMYK")[number % 4])
+        options: dict[str, Any] = {"quality": (1, 40, 75, 100)[number // 5 % 4], "progressive": number % 2 == 0}
+        thinned: dict[str, Any] = {"subsampling": (0, 1, 2, "4:1:1")[number // 3 % 4]} if image.mode == "RGB" else {}
+        restarts: dict[str, Any] = {"restart_marker_blocks": 1 + number % 4} if number % 3 == 0 else {}
+        image.save(path, **options, **thinned, **restarts)
+        assert read_picture(path).size == (width, height)
+
+
+@pytest.mark.parametrize("tags", [{}, {317: 2}])
+def test_lzw_that_unpacks_to_another_size_is_no_paint(tmp_path: Path, tags: dict[int, int]) -> None:
+    """libtiff stops where it has as much as it wants: everything behind the damaged byte lies elsewhere."""
+    path = tmp_path / "a.tif"
+    y, x = np.mgrid[:80, :96]
+    pixels = np.stack([2 * x, 3 * y, x + y], -1).astype(np.uint8)
+    pixels[16:40, 30:60] = np.random.default_rng(0).integers(0, 256, (24, 30, 3))
+    Image.fromarray(pixels).save(path, compression="tiff_lzw", tiffinfo=tags)
+    data = path.read_bytes()
+    assert read_picture(path).size == (96, 80)
+    for at in (522, 707, 892, 1262, 1299):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :])
+        with pytest.raises(
+            ValueError, match=r"a.tif: damaged picture \(strip \d does not unpack|unpacks to [\d,]+ bytes"
+        ):
+            read_picture(path)
+
+
+def test_a_jpeg_in_a_tiff_with_a_part_lost_is_no_paint(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    noisy().save(path, compression="jpeg")
+    data = path.read_bytes()
+    at = first_part(data) + 1_500
+    path.write_bytes(data[:at] + data[at + 10 : at + 600] + data[at : at + 10] + data[at + 600 :])
+    with pytest.raises(ValueError, match=r"a.tif: damaged picture \(strip 0: its packed pixels make no sense"):
+        read_picture(path)
+
+
+def test_a_deflated_tiff_or_psd_with_another_sum_is_no_paint(tmp_path: Path) -> None:
+    """Both were read up to their last pixel, and not to the sum behind it."""
+    path = tmp_path / "a.tif"
+    noisy().save(path, compression="tiff_adobe_deflate")
+    data = path.read_bytes()
+    stream = zlib.decompressobj()
+    stream.decompress(data[first_part(data) :])
+    last = len(data) - len(stream.unused_data) - 1
+    path.write_bytes(data[:last] + bytes([data[last] ^ 1]) + data[last + 1 :])
+    with pytest.raises(ValueError, match=r"a.tif: damaged picture \(strip 0 does not unpack"):
+        read_picture(path)
+    planes = zlib.compress(np.asarray(noisy(32, 24)).transpose(2, 0, 1).tobytes(), 0)
+    head = b"8BPS\0\1" + bytes(6) + struct.pack(">HIIHH", 3, 24, 32, 8, 3) + bytes(12) + b"\0\2"
+    path = tmp_path / "a.psd"
+    path.write_bytes(head + planes)
+    assert read_picture(path).size == (32, 24)
+    path.write_bytes(head + planes[:1_500] + bytes(9) + planes[1_509:-4])
+    with pytest.raises(ValueError, match=r"a.psd: damaged PSD"):
+        read_picture(path)
+
+
+def test_a_tiff_cut_off_within_its_tags_is_called_damaged(tmp_path: Path) -> None:
+    """It was called a TIFF that is packed in a way that is not read."""
+    path = tmp_path / "a.tif"
+    noisy().save(path, compression="tiff_lzw")
+    data = path.read_bytes()
+    path.write_bytes(data[:-20])
+    with pytest.raises(ValueError, match=r"a.tif: damaged picture \(cut off within.*: get it again"):
+        read_picture(path)
+
+
+def test_a_png_whose_pixels_have_another_sum_is_no_paint(tmp_path: Path) -> None:
+    """Pillow does not ask: a picture whose second half was never written came out half black."""
+    path = tmp_path / "a.png"
+    noisy().save(path)
+    data = bytearray(path.read_bytes())
+    data[60] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"a.png: damaged picture \(its IDAT chunk has another checksum than it says"):
+        read_picture(path)
+    # A damaged text is not a damaged picture.
+    note = b"tEXt" + b"Comment\0painted"
+    chunk = struct.pack(">I", len(note) - 4) + note + bytes(4)
+    noisy().save(path)
+    data = path.read_bytes()
+    path.write_bytes(data[:33] + chunk + data[33:])
+    with contextlib.suppress(ValueError):  # Pillow may refuse it in its own words
+        assert read_picture(path).size == (96, 80)

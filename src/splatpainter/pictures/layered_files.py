@@ -281,11 +281,13 @@ def _inflated(
     it. Raises ValueError: damaged, or less than the channels."""
     shape = (channel_count, header.height, header.width)
     needed = math.prod(shape) * dtype.itemsize
+    stream = zlib.decompressobj()
     try:
-        data = zlib.decompressobj().decompress(packed, needed)
+        data = stream.decompress(packed, needed)
+        stream.decompress(stream.unconsumed_tail, 1)  # the sum of what it holds comes last
     except zlib.error as error:
         raise ValueError(f"{path}: damaged PSD (its flattened picture: {error})") from None
-    if len(data) < needed:
+    if len(data) < needed or (len(data) == needed and not stream.eof and header.channels == channel_count):
         raise ValueError(f"{path}: damaged PSD (its flattened picture has {len(data)} bytes of {needed})")
     planes = np.frombuffer(data, dtype).reshape(shape)
     if predicted:
