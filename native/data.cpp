@@ -3,7 +3,7 @@
 #include "data/poisson_disk.h"
 #include "data/textures.h"
 
-SP_KERNELS_TO_V3(data,
+SP_KERNELS_TO_BASE(data,
     ONE(fill_point_grid),
     ONE(throw_points),
     ONE(take_mean_distances),

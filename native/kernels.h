@@ -142,3 +142,10 @@ template <auto function> constexpr Kernel small_kernel(const char* name) {
 #else
 #define SP_KERNELS_TO_V3(subject, ...) SP_KERNELS(subject, __VA_ARGS__)
 #endif
+// Of a subject in which no vectors serve: one copy for all.
+#if defined(SP_KIND_v3) || defined(SP_KIND_v4)
+#define SP_KERNELS_TO_BASE(subject, ...) \
+    namespace sp { extern const Kernel SP_JOIN(kernels_##subject, SP_TARGET)[] = {{nullptr, nullptr, nullptr}}; }
+#else
+#define SP_KERNELS_TO_BASE(subject, ...) SP_KERNELS(subject, __VA_ARGS__)
+#endif

@@ -13,7 +13,7 @@ struct ScanBits {
     u64 held;
     bool ended;
 
-    SP_INLINE void fill() {
+    SP_SMALL void fill() {
         while (count <= 40 && !ended) {
             if (at >= data.shape[0]) {
                 ended = true;
@@ -48,7 +48,7 @@ struct ScanBits {
         return entry ? entry & 255 : -1;
     }
     // Whether nothing but bits of one kind, of at most so many bytes, lies between here and the marker that ends the scan.
-    SP_INLINE bool ends(i64 most) {
+    SP_SMALL bool ends(i64 most) {
         i64 bytes = 0;
         bool ones = true, zeros = true;
         do {
@@ -67,7 +67,7 @@ struct Band {
 };
 
 // One block of a sequential scan.
-SP_INLINE bool walk_block(ScanBits& bits, const u16* dc, const u16* ac) {
+SP_SMALL bool walk_block(ScanBits& bits, const u16* dc, const u16* ac) {
     const i64 size = bits.symbol(dc);
     if (size < 0 || size > 16) return false;
     bits.take(size);
@@ -83,7 +83,7 @@ SP_INLINE bool walk_block(ScanBits& bits, const u16* dc, const u16* ac) {
 }
 
 // One block of a progressive scan of some frequencies. coded: bit k, whether that one is not zero so far.
-SP_INLINE bool walk_band(ScanBits& bits, const u16* ac, Band band, i64& run_of_ends, u64& coded) {
+SP_SMALL bool walk_band(ScanBits& bits, const u16* ac, Band band, i64& run_of_ends, u64& coded) {
     i64 k = band.first;
     if (!run_of_ends) {
         for (; k <= band.last; ++k) {
@@ -196,7 +196,7 @@ void measure_lzw(Array1<const u8> data, i64 most, Array1<i64> result, i64 thread
 
 } }  // namespace sp
 
-SP_KERNELS_TO_V3(pictures,
-    ONE(walk_jpeg_scan),
-    ONE(measure_lzw)
+SP_KERNELS_TO_BASE(pictures,
+    small_kernel<&walk_jpeg_scan>("walk_jpeg_scan"),
+    small_kernel<&measure_lzw>("measure_lzw")
 )

@@ -185,8 +185,8 @@ class Kernels:
         self._kernels: dict[str, Kernel] = {}
         for kernel, signature, address in _rows(targets[names.index(self.cpu)].tables):
             self._kernels.setdefault(kernel, Kernel(kernel)).add(signature, address)
-        # What this kind lacks (FLOAT_FIRST and SP_KERNELS_TO_V3 in native/kernels.h) is that of the next one, with the
-        # same bits.
+        # What this kind lacks (FLOAT_FIRST, SP_KERNELS_TO_V3, SP_KERNELS_TO_BASE in native/kernels.h) is that of the
+        # next one, with the same bits.
         for target in targets[names.index(self.cpu) + 1 : len(names)]:
             for kernel, signature, address in _rows(target.tables):
                 self._kernels.setdefault(kernel, Kernel(kernel)).add(signature, address, instead=True)
