@@ -18,7 +18,8 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.lift.colors import refine_colors_local
-from splatpainter.lift.edit_views import EditView, errors_name, gaussians_in_views
+from splatpainter.lift.contradictions import runs_that_agree
+from splatpainter.lift.edit_views import EditView, edit_views, errors_name, gaussians_in_views
 from splatpainter.lift.features import global_features, local_features, no_features
 from splatpainter.lift.global_edit import Predict, lift_global
 from splatpainter.lift.local.evidence import Evidence
@@ -88,6 +89,24 @@ class LiftedEdit:
     note: str = ""
     """A line for receipts."""
 
+    def followed_by(self, last: LiftedEdit, count: int) -> LiftedEdit:
+        """This edit of N Gaussians and another one of its result, as one of the N; without features. count: N."""
+        parents = self.parent_ids(count)[last.parent_ids(len(self.splats))]
+        changed, replaced = np.zeros(len(last.splats), bool), np.zeros(count, bool)
+        changed[self.ids] = changed[last.ids] = True
+        replaced[self.replaced] = replaced[last.replaced[last.replaced < count]] = True
+        empty = last.splats.opacities[:count] == 0
+        ids = np.flatnonzero(changed)
+        return LiftedEdit(
+            last.splats,
+            ids,
+            parents[ids],
+            no_features(ids),
+            replaced=np.flatnonzero(replaced & ~empty),
+            removed=np.flatnonzero(changed[:count] & empty),
+            limited=(*self.limited, *last.limited),
+        )
+
     def parent_ids(self, count: int) -> Ids:
         """[N + A] int64 the asset's Gaussian that each Gaussian of `splats` is or was split from. count: N."""
         return np.append(np.arange(count), self.parents[self.ids >= count])
@@ -113,7 +132,10 @@ def lift_local_views(
         # paint.
         close = surface is not None and options.resurface
         close = close and all(fills_view(splats, view.camera, view.mask) for view in views)
-        if close and not _all_repainted(splats, views, options, originals):
+        # Lifted together, pictures that contradict each other would come out as their mean.
+        if close and len(views) > 1 and len(runs := runs_that_agree(splats, views)) > 1:
+            lifted = _in_turn(splats, surface, runs, options, originals)
+        elif close and not _all_repainted(splats, views, options, originals):
             lifted = _together(splats, views, options)
         elif surface is None or not options.resurface:
             lifted = _one_after_the_other(splats, grid, views, options)
@@ -190,6 +212,29 @@ def _together(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     ids = np.append(lifted.touched, np.arange(count, len(lifted.splats)))
     parents = np.append(lifted.touched, lifted.parents)
     return LiftedEdit(lifted.splats, ids, parents, no_features(ids), limited=(0.0,) * len(views))
+
+
+def _in_turn(
+    splats: Splats,
+    surface: Surface | None,
+    runs: Sequence[list[EditView]],
+    options: LocalOptions,
+    originals: int | None,
+) -> LiftedEdit:
+    """Views that are edited nearly everywhere and contradict each other: run after run, each on the result of those
+    before, as edits in turn are, so that the later ones win; without features."""
+    nobody = np.zeros(0, np.int64)
+    result = LiftedEdit(splats, nobody, nobody, no_features(nobody))
+    for run in runs:
+        before = result.splats
+        cameras, pictures, masks = zip(*((view.camera, view.edited, view.mask) for view in run), strict=True)
+        drawn = edit_views(before, cameras, pictures, masks)
+        again = [replace(now, name=view.name) for now, view in zip(drawn, run, strict=True)]
+        grid = None if len(run) == 1 else voxelize(before)
+        count = len(splats) if originals is None else originals
+        last = lift_local_views(before, grid, again, "lift", options, features=False, surface=surface, originals=count)
+        result = result.followed_by(last, len(splats))
+    return result
 
 
 def _one_after_the_other(
