@@ -24,6 +24,7 @@ from splatpainter.kernels.portable import matmul
 from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import PictureFile, draw, over_render
 from splatpainter.pictures.encodings import guessed_encoding
+from splatpainter.pictures.lost_transparency import GROUND_NOTE, without_its_ground
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.pictures.view_search import most_alike, same_view, views_in
 from splatpainter.rendering.cpu.recent_views import drawn_view
@@ -82,6 +83,8 @@ def checked_picture(
     at_view = source.at_view()
     source = replace(source, drawn=drawn_view(splats.numpy(), at_view.camera))
     view = _compared(at_view, splats)
+    if policy != "force":
+        source, view = _on_the_views_ground(source, view, splats)
     if not (view.cover > 0).any():  # nothing in view, which the painter says
         return CheckedPicture(source)
     # One rule for all entrances: command line, batch, session and nodes come through here.
@@ -163,6 +166,24 @@ def _compared(source: PictureFile, splats: Splats) -> _ComparedView:
         red, green, blue = background.tolist()
         colors = over_render(colors, alpha, render, cover, (red, green, blue) if source.cut_out else None)
     return _ComparedView(source.camera, np.ascontiguousarray(colors, np.float32), render, cover)
+
+
+def _on_the_views_ground(source: PictureFile, view: _ComparedView, splats: Splats) -> tuple[PictureFile, _ComparedView]:
+    """Both, of a picture that lost its transparency, with the view's background in place of what lies behind it."""
+    if source.picture.alpha is not None or source.photograph is not None:
+        return source, view
+    red, green, blue = to_display(np.asarray(view.camera.background, np.float32), splats.color_space).tolist()
+    encoding = source.picture.encoding
+    colors = without_its_ground(view.colors, view.render, view.cover, (red, green, blue), encoding)
+    if colors is None:
+        return source, view
+    seen = replace(view, colors=colors)
+    if source.view is not None:  # the larger picture that is painted with
+        larger = _compared(source, splats)
+        colors = without_its_ground(larger.colors, larger.render, larger.cover, (red, green, blue), encoding)
+        colors = larger.colors if colors is None else colors
+    picture = replace(source.picture, colors=colors)
+    return replace(source, picture=picture, notes=(GROUND_NOTE, *source.notes)), seen
 
 
 def _with_other_axes(splats: Splats, camera: Camera, size: Size) -> Iterator[tuple[str, np.ndarray]]:
