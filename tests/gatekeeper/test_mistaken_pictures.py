@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image, ImageFilter
-from scipy.ndimage import maximum_filter
+from PIL import Image, ImageDraw, ImageFilter
+from scipy.ndimage import distance_transform_edt, maximum_filter
 
 from splatpainter.cameras import orbit_cameras
 from splatpainter.color import to_display
@@ -454,6 +454,14 @@ def test_lower_contrast_of_the_asset_alone_is_a_mistake(gain: float, channels: s
     assert glazed is not None and glazed.cause == "look"
 
 
+def test_lower_contrast_about_middle_grey_is_named_beside_the_glaze_that_it_may_be() -> None:
+    """No word of it said contrast."""
+    explanation = explain(on_the_asset(0.5 + 0.5 * (VIEW - 0.5)), VIEW, ALPHA)
+    assert explanation is not None and explanation.words.startswith("of lower contrast, or glazed with middle grey")
+    other = explain(on_the_asset(0.4 + 0.5 * (VIEW - 0.4)), VIEW, ALPHA)
+    assert other is not None and "contrast" not in other.words
+
+
 @pytest.mark.parametrize("color", [(0.7, 0.2, 0.1), (0.1, 0.3, 0.8), (0.5, 0.5, 0.5)])
 @pytest.mark.parametrize("opacity", [0.3, 0.5])
 def test_a_color_laid_over_all_of_the_asset_may_be_meant(color: tuple[float, float, float], opacity: float) -> None:
@@ -566,3 +574,34 @@ def test_noise_and_other_detail_are_no_bend() -> None:
     assert bend_of(eight_bits(lens(0.1)(VIEW)), VIEW) is not None
     for other in (VIEW + RNG.normal(size=VIEW.shape) * 0.1, confetti(), OTHER_VIEW):
         assert bend_of(eight_bits(other), VIEW) is None
+
+
+def plain_box(size: int = 160) -> tuple[np.ndarray, np.ndarray]:
+    """(view, alpha) of a box without texture: three faces of one colour each on white."""
+    image, cover = Image.new("RGB", (size, size), "white"), Image.new("L", (size, size), 0)
+    left, middle, right, top, low = 32, 88, 128, 52, 118
+    faces = {
+        (150, 138, 125): [(left, top), (middle, top + 12), (middle, low + 12), (left, low)],
+        (176, 161, 147): [(middle, top + 12), (right, top), (right, low), (middle, low + 12)],
+        (195, 180, 163): [(left, top), (middle - 12, top - 14), (right, top), (middle, top + 12)],
+    }
+    for color, corners in faces.items():
+        ImageDraw.Draw(image).polygon(corners, fill=color)
+        ImageDraw.Draw(cover).polygon(corners, fill=255)
+    return np.asarray(image, np.float32) / 255, np.asarray(cover, np.float32) / 255
+
+
+@pytest.mark.parametrize("color", [(1.0, 0.8, 0.2), (0.2, 0.4, 1.0), (1.0, 0.2, 0.2)])
+def test_a_glow_along_a_plain_outline_is_no_move(color: tuple[float, float, float]) -> None:
+    """Twelve pixels to both sides: it was refused as a small move."""
+    view, alpha = plain_box()
+    solid = alpha > 0.5
+    away = np.where(solid, distance_transform_edt(solid), distance_transform_edt(~solid))
+    for width in (4, 5, 6, 7):
+        share = (0.8 * np.exp(-0.5 * (away / width) ** 2))[..., None]
+        explanation = explain(eight_bits(view + share * (np.array(color) - view)), view, alpha)
+        assert explanation is None or explanation.may_be_meant, width
+    shifted = np.roll(view, (22, 20), (0, 1))
+    shifted[60:90, 60:90] = color
+    explanation = explain(eight_bits(shifted), view, alpha)
+    assert explanation is not None and explanation.cause == "moved"

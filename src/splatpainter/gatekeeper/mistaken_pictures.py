@@ -115,12 +115,17 @@ class MistakeThresholds:
     """Share of the asset that such a colour must explain."""
     max_off_mean: float = 0.02
     """How far such a colour may lie from the mean of the asset, up to which only the contrast was lowered."""
+    middle_grey: float = 0.5
+    """Display value about which many sliders of contrast turn; it is a colour to paint with, too."""
     min_spread: float = 0.06
     """Deviation of the asset's colours from which its mean is no colour that a brush would take."""
     min_registered_px: int = 16
     """Pixels of the shorter side of a small copy from which it is looked where it lies."""
     min_moved_score: float = 0.6
     """Score of a registration from which a picture was moved."""
+    min_moved_explained: float = 0.25
+    """Share of what differs that must be as a move makes it: on four assets, plain, fitted and captured, shifts of 3 to
+    30 pixels and scales of 5 and 15 % 0.79 to 1.00, with a large dab over them 0.48 to 0.85; glows 0.00."""
     max_left_behind: float = 0.1
     """Share of what a move changes that may be as it was rendered: a part that was moved by hand leaves the rest."""
     min_moved_px: float = 0.8
@@ -133,6 +138,10 @@ MISTAKES = MistakeThresholds()
 GRADED_WORDS = (
     "graded, or glazed with one colour, as a whole, but for its background: its other sides stay as they are; --mode "
     "global carries the look all around"
+)
+GREYED_WORDS = (
+    "of lower contrast, or glazed with middle grey, as a whole, but for its background: its other sides stay as they "
+    "are; --mode global carries the look all around"
 )
 FLATTER_WORDS = "of lower contrast as a whole, but for its background"
 PAINTED_OVER_WORDS = "painted over everywhere; if it is not, it is of another view or asset"
@@ -383,7 +392,8 @@ def _graded(view: SmallView) -> Explanation | None:
     if view.paint_is_on_asset and (glaze := _glaze_color(view, solid)) is not None:
         if _is_mean_color(glaze, view.render[solid]):
             return Explanation("tone", FLATTER_WORDS, view.agreeing, 1.0)
-        return Explanation("look", GRADED_WORDS, view.agreeing, 1.0)
+        is_grey = np.abs(glaze - MISTAKES.middle_grey).max() <= MISTAKES.max_off_mean
+        return Explanation("look", GREYED_WORDS if is_grey else GRADED_WORDS, view.agreeing, 1.0)
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
     if np.median(changed) < COPIES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
         return None
@@ -454,6 +464,11 @@ def _moved(view: SmallView) -> Explanation | None:
     made, inside = warped(view.render, inverse_map(laid.matrix)[:2], view.alpha.shape[::-1])
     predicted = inside & view.solid & (mean_difference(made, view.render) > COPIES.min_predicted)
     if predicted.any() and view.unchanged[predicted].mean() > MISTAKES.max_left_behind:
+        return None
+    # A glow along a plain asset's outline lies as a move would have it, but has no colours of the render.
+    differs = inside & (mean_difference(view.picture, view.render) > COPIES.max_difference)
+    agrees = mean_difference(view.picture, made) <= COPIES.max_difference
+    if agrees[differs].mean() < MISTAKES.min_moved_explained:
         return None
     return Explanation("moved", MOVED_WORDS, view.agreeing, laid.score)
 
