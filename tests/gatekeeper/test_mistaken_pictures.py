@@ -16,9 +16,10 @@ from splatpainter.gatekeeper.bent_pictures import bend_of
 from splatpainter.gatekeeper.fitted_mistakes import moved_a_little
 from splatpainter.gatekeeper.gatekeeper import admit
 from splatpainter.gatekeeper.mistaken_pictures import explain, filtered
+from splatpainter.gatekeeper.picture_gate import _beside_itself
 from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.io import read
-from splatpainter.lift.masks import box_mean, contrast
+from splatpainter.lift.masks import box_mean, contrast, dilated
 from splatpainter.pictures.edit_files import draw
 from splatpainter.sources.picture_source import PictureRequest
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
@@ -596,7 +597,7 @@ def test_a_glow_along_a_plain_outline_is_no_move(color: tuple[float, float, floa
     """Twelve pixels to both sides: it was refused as a small move."""
     view, alpha = plain_box()
     solid = alpha > 0.5
-    away = np.where(solid, distance_transform_edt(solid), distance_transform_edt(~solid))
+    away = np.asarray(distance_transform_edt(solid)) + np.asarray(distance_transform_edt(~solid))
     for width in (4, 5, 6, 7):
         share = (0.8 * np.exp(-0.5 * (away / width) ** 2))[..., None]
         explanation = explain(eight_bits(view + share * (np.array(color) - view)), view, alpha)
@@ -605,3 +606,15 @@ def test_a_glow_along_a_plain_outline_is_no_move(color: tuple[float, float, floa
     shifted[60:90, 60:90] = color
     explanation = explain(eight_bits(shifted), view, alpha)
     assert explanation is not None and explanation.cause == "moved"
+
+
+def test_what_lies_beside_itself_after_it_was_moved_back_is_no_paint() -> None:
+    """A lens put right leaves parts of a pixel; paint, also a faint dab, is none of it."""
+    half = 0.5 * (VIEW + np.roll(VIEW, 1, 1))
+    dab = np.hypot(*(np.mgrid[:240, :240] - 120)) < 15
+    picture = np.where(dab[..., None], half + 0.2 * (np.array([0.9, 0.1, 0.6]) - half), half).astype(np.float32)
+    beside = _beside_itself(picture, VIEW)
+    around = dilated(dab, 4)
+    assert beside[~around].mean() > 0.95 and beside[dab].mean() < 0.02
+    differs = np.abs(half - VIEW).max(-1) > 0.03
+    assert differs.mean() > 0.02 and beside[differs & ~around].mean() > 0.8

@@ -21,6 +21,7 @@ from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
 from splatpainter.kernels.portable import matmul
+from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import PictureFile, draw, over_render
 from splatpainter.pictures.encodings import guessed_encoding
@@ -44,6 +45,11 @@ OTHER_AXES = (
     ("of the asset turned by a quarter (y up in place of z)", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])),
 )
 """What it says of a picture, and how the world is turned in it."""
+
+
+MEAN_PX, MAX_MEAN_BESIDE, MAX_ROUNDING = 2, 10 / 255, 3.5 / 255
+"""Of pictures that were moved back: reach of a mean, pixels, by how much it may differ, and a single value.
+Source: taste."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +192,18 @@ def _on_the_views_ground(source: PictureFile, view: _ComparedView, splats: Splat
     return replace(source, picture=picture, notes=(GROUND_NOTE, *source.notes)), seen
 
 
+def _beside_itself(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
+    """[H, W] bool: where a picture that was moved back may still lie beside its render [H, W, 3] by up to a pixel:
+    within what that shows around the pixel, and of the same mean."""
+    grown = np.pad(render, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    height, width = render.shape[:2]
+    around = [grown[y : y + height, x : x + width] for y in range(3) for x in range(3)]
+    low, high = (extreme.reduce(around) for extreme in (np.minimum, np.maximum))
+    within = (picture >= low - MAX_ROUNDING) & (picture <= high + MAX_ROUNDING)
+    mean = largest_channel(np.abs(box_mean(picture - render, MEAN_PX)))
+    return within.all(-1) & (mean <= MAX_MEAN_BESIDE)
+
+
 def _with_other_axes(splats: Splats, camera: Camera, size: Size) -> Iterator[tuple[str, np.ndarray]]:
     small = camera.resized(*size)
     for words, turn in OTHER_AXES:
@@ -216,6 +234,7 @@ def _corrected(
         colors = np.ascontiguousarray(mistake.undone(colors), np.float32)
         if resampled is not None:  # what was pushed over the picture's rim is not known, so it is as it was rendered
             visible = visible_after(mistake.undone, colors.shape)[..., None]
+            visible &= ~_beside_itself(colors, view.render)[..., None]
             colors, resampled = np.where(visible, colors, view.render), np.where(visible, resampled, view.render)
         notes.append(f"put right: it was {mistake.words}")
     mask = source.at_view().mask

@@ -37,7 +37,7 @@ class GroundThresholds:
     """Share of the background that must have one of them: a vignette lies between two colours, too."""
     min_second_share: float = 0.05
     """Share of the background from which a second colour belongs to the ground."""
-    min_kept: float = 0.3
+    min_unchanged: float = 0.3
     """Share of the asset that must be as it was rendered: a grade or a negative changes background and asset."""
 
 
@@ -63,7 +63,7 @@ def without_its_ground(
         return None
     solid = cover > GROUNDS.min_solid
     unchanged = largest_channel(np.abs(box_mean(picture - render, 1))) <= GROUNDS.max_noise
-    if not solid.any() or unchanged[solid].mean() < GROUNDS.min_kept:
+    if not solid.any() or unchanged[solid].mean() < GROUNDS.min_unchanged:
         return None
     first, second = _colors_of(behind)
     apart = np.abs(behind - _between(behind, first, second)).max(1)
