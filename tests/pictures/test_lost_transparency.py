@@ -67,5 +67,6 @@ def test_other_backgrounds_are_what_they_were(asset: Splats) -> None:
     """The view's own, one that shades from side to side, and those of a negative and of a grade."""
     render, cover = drawn(asset, CAMERA)
     shaded = render + (1 - cover[..., None]) * (X / SIZE - 0.5)[..., None] * 0.4
-    for picture in (painted_over(asset, np.full(3, 0.25)), shaded, 1 - render, 0.5 * render + 0.4):
+    filled = np.where((Y > 80)[..., None], 0, render)  # its lower third painted black, asset and background
+    for picture in (painted_over(asset, np.full(3, 0.25)), shaded, filled, 1 - render, 0.5 * render + 0.4):
         assert without_its_ground(picture.astype(np.float32), render, cover, CAMERA.background, None) is None

@@ -26,8 +26,8 @@ class GroundThresholds:
     """Share of the picture that must be background to tell."""
     min_other: float = 6 / 255
     """Difference from the view's background from which it is another."""
-    min_other_share: float = 0.3
-    """Share of the background that must be another: half of a checkerboard may have the view's colour."""
+    min_other_share: float = 0.9
+    """Share of the background that must be another: where a brush or a fill covers a part, the view's shows beside."""
     max_noise: float = 8 / 255
     """Difference from the ground's colours that compression leaves."""
     min_explained: float = 0.9
