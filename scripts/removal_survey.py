@@ -88,8 +88,20 @@ SCENES: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("kh_waterbottle", (), "godot_rock_albedo"),
     ("gso_dino_5", ("gso_dino_3",), "polyhaven_rocky_trail"),
     ("kh_avocado", (), "gso_room_essentials_salad_plate_turquoise"),
+    ("aws_residential_chaira_01", (), "ambientcg_WoodFloor043"),
+    ("ss_desk_chair", (), "ambientcg_Marble006"),
+    ("gso_schleich_s_bayala_unicorn_70432", (), "gz_grass"),
+    ("gso_breyer_horse_of_the_year_2015", (), "godot_sand_albedo"),
+    ("pm_zombie_1", (), "gz_tarmac"),
+    ("pm_male", (), "polyhaven_grassy_cobblestone"),
+    ("kk_chest_gold", (), "gz_wood_osb"),
+    ("gz_cordless_drill", (), "rl_wooden_table_02_1k"),
+    ("bab_vintagedeskfan_vintagefan_animated", ("aws_retail_booka_01",), "gz_plywood"),
+    ("gso_school_bus", ("gso_thomas_friends_wooden_railway_porter_5jzrhmm",), "gz_tarmac"),
+    ("bevy_fox", (), "gz_bark"),
+    ("rl_painted_wooden_cabinet_02_1k", (), "godot_wool_albedo"),
 )
-FITTED = (0, 1, 4, 7, 9, 11, 15, 20)
+FITTED = (0, 1, 4, 7, 9, 11, 15, 20, 24, 27, 31, 32)
 """Scenes that are fitted too."""
 CAPTURED = {"angel.sog": 0.0, "narcissus.sog": -0.03, "st-peter.sog": 0.03, "massa.sog": 0.0}
 """Heights of pedestals' tops, y down."""

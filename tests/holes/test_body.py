@@ -233,3 +233,35 @@ def test_a_small_plate_stays_though_only_the_thing_on_it_touches_it() -> None:
     assert len(plate) < 0.2 * len(ball)
     body = body_of(splats, seen_from_front(splats, 0.0) & is_ball)
     assert body is not None and body[is_ball].mean() > 0.95 and body[~is_ball].mean() < 0.2
+
+
+def stool() -> tuple[Splats, Splats]:
+    """(seat, four legs of another colour that stand on y = 0)."""
+    seat = moved(sphere(0.5, (0.8, 0.2, 0.2)), (0, 0.35, 0))
+    around = np.arange(0, 2 * np.pi, SPACING / 0.07)
+    turns, heights = (axis.ravel() for axis in np.meshgrid(around, np.arange(SPACING / 2, 0.5, SPACING)))
+    normals = np.stack([np.cos(turns), 0 * turns, np.sin(turns)], 1)
+    leg = flat(0.07 * normals + np.stack([0 * heights, heights, 0 * heights], 1), normals, (0.1, 0.1, 0.1))
+    side = moved(leg, (-0.3, 0, -0.3)).append(moved(leg, (-0.3, 0, 0.3)))
+    return seat, side.append(moved(side, (0.6, 0, 0)))
+
+
+def test_legs_of_another_colour_go_with_what_they_carry() -> None:
+    floor, (seat, legs) = ground((0.5, 0.35, 0.2)), stool()
+    splats = floor.append(seat).append(legs)
+    x, y, z = splats.means.T
+    lassoed = (z > 0.05) & (np.abs(x) < 0.6) & (y < 1.5) & ((y > 1e-6) | (z < 0.6))
+    body = body_of(splats, lassoed)
+    assert body is not None and body[len(floor) :].mean() > 0.98
+    assert body[: len(floor)].mean() < 0.005
+
+
+def test_a_part_with_a_crease_around_it_is_no_body() -> None:
+    """A place on the seat, which stands on no plane: not the seat without its legs."""
+    floor, (seat, legs) = ground((0.5, 0.35, 0.2)), stool()
+    splats = floor.append(seat).append(legs)
+    is_seat = np.isin(np.arange(len(splats)), len(floor) + np.arange(len(seat)))
+    spot = is_seat & (np.linalg.norm(splats.means - (0, 1.35, 0), axis=1) < 0.6)
+    assert 0.2 < spot[is_seat].mean() < 0.45
+    body = body_of(splats, spot)
+    assert body is None or body[len(floor) :].mean() > 0.98

@@ -10,7 +10,7 @@ may end anywhere, more rarely where nothing is selected (BODY.selected_share), h
 chance to end at the selection: the body is what lies above a level of chances whose border cuts few links, about the
 same above many levels. A strip of ground within a lasso is not of it: it hangs together with all the ground around, and
 a plane that goes on all around the foot of a thing is its ground (support.py). A border that is no weaker than the
-surface itself would be a cut through it: then there is no body.
+surface itself would be a cut through it, and what stands on nothing a part: then there is no body.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from splatpainter.array_types import Bools, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.holes.border import cell_of
-from splatpainter.holes.support import below, support_of
+from splatpainter.holes.support import Ground, below, support_of
 from splatpainter.kernels import portable
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -84,6 +84,9 @@ class BodyThresholds:
     """Distance from a plane within which a piece is of it, in edges of pieces."""
     support_link: float = 0.1
     """Factor of links between what a thing stands on and all else."""
+    held_link: float = 0.005
+    """Least link between neighbours above the plane on which a thing stands, where there is one: colours and creases of
+    its own do not take it apart."""
     support_end: float = 0.05
     """How strongly a piece on which a thing stands is ground."""
     sure_end: float = 1.0
@@ -105,6 +108,8 @@ class BodyThresholds:
     """The same up to which a part of what is left that touches only the body goes with it: the handle of a mug."""
     min_selected_share: float = 0.2
     """Share of its Gaussians by which a body is selected, at least: a spot on a pot is not the pot."""
+    hanging_share: float = 0.5
+    """The same where no plane goes on around its foot: the seat of a chair, or a thing on rough ground."""
     max_cut: float = 0.006
     """Links between a body and what is left, over those within the smaller of them, up to which it is one (a lemon on a
     board: 0.003, things that were fitted: mostly up to 0.005); above, the cut runs through a surface (spots: up to
@@ -148,23 +153,23 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
         one, two = pieces.touching(pairs)
         chosen = pieces.mean(selected[ids].astype(np.float64))
     links, evenness = pieces.links(one, two, chosen > 0.5)
-    # What a thing stands on is no part of it, within a lasso or not.
     middles = pieces.mean(means[ids])
-    support, upwards = support_of(middles, pieces.normals, chosen > 0.5, (one, two), BODY.support_cells * edge)
-    chosen = np.where(support, 0, chosen)
-    links = links * np.where(support[one] != support[two], BODY.support_link, 1)
-    is_seed = selected[ids] & ~support[pieces.piece]
     beyond = pieces.mean((away[ids] > BODY.far_share * reach).astype(np.float64)) > 0.5
-    # The walk: it starts anywhere and ends where something is selected, rarely elsewhere, surely far away.
-    ends = BODY.end_chance * (chosen + BODY.selected_share * (1 - chosen)) + beyond + BODY.support_end * support
-    chances = _walked(one, two, links, BODY.end_chance * chosen, ends)
-    # The cut: a level of chances at which few and weak links are cut for what lies within.
-    of_selected = chances[pieces.piece][is_seed]
-    most, least = (float(np.quantile(of_selected, q)) for q in (BODY.top_quantile, 1 - BODY.min_covered_share))
-    low, high = BODY.level_shares[0] * most, min(BODY.level_shares[1] * most, least)
-    levels = np.linspace(low, max(low, high), BODY.levels)
-    is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, pieces.counts)
-    is_body = _without_crumbs(one, two, is_body, pieces.counts)
+    seen = pieces.piece[selected[ids]]
+
+    def ground_of(thing: Bools) -> Ground:
+        return support_of(middles, pieces.normals, thing, (one, two), BODY.support_cells * edge)
+
+    # What a thing stands on is sought around the selection; where that is off the ground, around the body it leads to.
+    ground = ground_of(chosen > 0.5)
+    is_body, weights = _cut(pieces, (one, two), links, chosen, seen, beyond, ground)
+    if is_body.any() and not ground.pieces.any():
+        ground = ground_of(is_body)
+        if ground.pieces.any():
+            is_body, weights = _cut(pieces, (one, two), links, chosen, seen, beyond, ground)
+        elif _hangs(pieces, (one, two), is_body, seen):
+            return None
+    links = weights
     # Doubts: a cut through a surface, or along a painted figure, is no body's border.
     crossing = is_body[one] != is_body[two]
     inner = is_body[one] & is_body[two]
@@ -183,9 +188,50 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     # Its border once more, between smaller pieces.
     at_border = np.zeros(len(is_body), bool)
     at_border[one[crossing]], at_border[two[crossing]] = True, True
-    at_border |= support & below(middles, is_body, upwards, edge)
+    at_border |= ground.pieces & below(middles, is_body, ground.normal, edge)
     body[ids] = _refined(fine, pairs, within, at_border[pieces.piece])
     return body
+
+
+def _cut(
+    pieces: _Pieces,
+    edges: tuple[np.ndarray, np.ndarray],
+    links: np.ndarray,
+    chosen: np.ndarray,
+    seen: np.ndarray,
+    beyond: Bools,
+    ground: Ground,
+) -> tuple[Bools, np.ndarray]:
+    """([P] bool the body found by a walk and a level of its chances; [E] links given what is ground). links: [E];
+    chosen: [P] 0..1; seen: [S] pieces of what is selected; beyond: [P] bool, too far away."""
+    one, two = edges
+    # What a thing stands on is no part of it, within a lasso or not; with it known, a crease alone is no border.
+    chosen = np.where(ground.pieces, 0, chosen)
+    links = links * np.where(ground.pieces[one] != ground.pieces[two], BODY.support_link, 1)
+    if ground.pieces.any():
+        links = np.where(ground.height[one] | ground.height[two], links, np.maximum(links, BODY.held_link))
+    seen = seen[~ground.pieces[seen]]
+    if not len(seen):
+        return np.zeros(len(chosen), bool), links
+    # The walk: it starts anywhere and ends where something is selected, rarely elsewhere, surely far away.
+    ends = BODY.end_chance * (chosen + BODY.selected_share * (1 - chosen)) + beyond + BODY.support_end * ground.pieces
+    chances = _walked(one, two, links, BODY.end_chance * chosen, ends)
+    # The cut: a level of chances at which few and weak links are cut for what lies within.
+    of_selected = chances[seen]
+    most, least = (float(np.quantile(of_selected, q)) for q in (BODY.top_quantile, 1 - BODY.min_covered_share))
+    low, high = BODY.level_shares[0] * most, min(BODY.level_shares[1] * most, least)
+    levels = np.linspace(low, max(low, high), BODY.levels)
+    is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, pieces.counts)
+    return _without_crumbs(one, two, is_body, pieces.counts, ground.height), links
+
+
+def _hangs(pieces: _Pieces, edges: tuple[np.ndarray, np.ndarray], is_body: Bools, seen: np.ndarray) -> bool:
+    """Whether a body ([P] bool) that stands on no plane is a part: it touches more than it is, and little of it is
+    selected. seen: [S] pieces of what is selected."""
+    one, two = edges
+    count = pieces.counts[is_body].sum()
+    touches = bool((is_body[one] != is_body[two]).any())
+    return touches and 2 * count < pieces.counts.sum() and is_body[seen].sum() < BODY.hanging_share * count
 
 
 def _refined(fine: _Pieces, pairs: tuple[np.ndarray, np.ndarray], within: Bools, unsure: Bools) -> Bools:
@@ -196,7 +242,8 @@ def _refined(fine: _Pieces, pairs: tuple[np.ndarray, np.ndarray], within: Bools,
     chances = _walked(one, two, links, BODY.sure_end * body, BODY.sure_end * (body | ground) + BODY.unsure_end)
     is_body = np.where(unsure, (chances > 0.5)[fine.piece], within)
     share = fine.mean(is_body.astype(np.float64)) > 0.5
-    return np.where(unsure, _without_crumbs(one, two, share, fine.counts)[fine.piece], is_body)
+    cleared = _without_crumbs(one, two, share, fine.counts, np.zeros(len(share), bool))
+    return np.where(unsure, cleared[fine.piece], is_body)
 
 
 def body_or_selection(splats: Splats, selected: np.ndarray) -> tuple[np.ndarray, str]:
@@ -355,11 +402,12 @@ def _swept(
     return chances > levels[int(np.where(among, share, np.inf).argmin())]
 
 
-def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, counts: np.ndarray) -> Bools:
-    """[P] bool: a body without small parts that lie apart, and with parts that only it touches. counts: [P] Gaussians
-    of each piece."""
+def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, counts: np.ndarray, ground: Bools) -> Bools:
+    """[P] bool: a body without small parts that lie apart, and with parts that touch nothing but it and the plane on
+    which it stands ([P] bool: ground). counts: [P] Gaussians of each piece."""
     for side in (True, False):
-        same = (is_body[one] == side) & (is_body[two] == side)
+        # Legs hang together by the ground alone.
+        same = (is_body[one] == side) & (is_body[two] == side) & (side | ~(ground[one] | ground[two]))
         # First crumbs of the body go to the ground, then what of the ground only the body holds goes to the body.
         labels = joined_labels(len(counts), one[same], two[same])
         sizes = np.bincount(labels, np.where(is_body == side, counts, 0), len(counts))
@@ -370,7 +418,7 @@ def _without_crumbs(one: np.ndarray, two: np.ndarray, is_body: np.ndarray, count
         touching[labels[one[crossing]]], touching[labels[two[crossing]]] = True, True
         crumbs = (is_body == side) & (sizes[labels] < limit) & (touching[labels] | side)
         # What most of the rest hangs together with is ground, however small.
-        crumbs &= labels != int(sizes.argmax())
+        crumbs &= (labels != int(sizes.argmax())) & (side | ~ground)
         is_body = is_body ^ crumbs
     return is_body
 

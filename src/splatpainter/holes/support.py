@@ -38,32 +38,44 @@ class SupportThresholds:
 SUPPORT = SupportThresholds()
 
 
+@dataclass(frozen=True)
+class Ground:
+    """The plane on which a thing stands, among P pieces of surface."""
+
+    pieces: Bools
+    """[P] bool: those of it."""
+    height: Bools
+    """[P] bool: all at its height, whichever way they face."""
+    normal: np.ndarray
+    """[3] unit; zeros where there is none."""
+
+
 def support_of(
     middles: np.ndarray,
     normals: np.ndarray,
     chosen: Bools,
     edges: tuple[np.ndarray, np.ndarray],
     tolerance: float,
-) -> tuple[Bools, np.ndarray]:
-    """([P] bool pieces of surface (middles [P, 3], normals [P, 6] as of _Pieces) on the plane on which what is chosen
-    ([P] bool) stands, none where there is no such plane; [3] its normal). edges: pairs of pieces that touch; tolerance:
-    world units."""
-    none = np.zeros(len(middles), bool)
+) -> Ground:
+    """The plane on which what is chosen ([P] bool) stands, without pieces where there is none. middles, normals: [P, 3]
+    and [P, 6] as of _Pieces, of pieces of surface; edges: pairs of them that touch; tolerance: world units."""
+    nothing = np.zeros(len(middles), bool)
+    none = Ground(nothing, nothing, np.zeros(3))
     one, two = edges
     crossing = chosen[one] != chosen[two]
     outline = np.unique(np.concatenate([one[crossing], two[crossing]]))
     if len(outline) < SUPPORT.min_outline:
-        return none, np.zeros(3)
+        return none
     # The plane on which most of the outline lies.
     step = -(-len(outline) // SUPPORT.candidates)
-    best, most = none, 0
+    best, most = nothing, 0
     for piece in outline[::step].tolist():
         members = _members(middles, normals, middles[piece], _direction(normals[piece]), tolerance)
         count = int(members[outline].sum())
         if count > most:
             best, most = members, count
     if most < SUPPORT.min_outline_share * len(outline):
-        return none, np.zeros(3)
+        return none
     normal = _direction(normals[best].mean(0))
     middle = middles[best] - middles[best][0]
     origin = middles[best][0] + float(np.median((middle * normal).sum(1))) * normal
@@ -72,13 +84,13 @@ def support_of(
     heights = ((middles - origin) * normal).sum(1)
     standing = chosen & ~members
     if standing.sum() < SUPPORT.min_standing_share * chosen.sum() or not members.any():
-        return none, np.zeros(3)
+        return none
     above = float((heights[standing] > 0).mean())
     if max(above, 1 - above) < SUPPORT.min_side_share:
-        return none, np.zeros(3)
+        return none
     foot = standing & (np.abs(heights) < SUPPORT.foot * tolerance)
     if not foot.any():
-        return none, np.zeros(3)
+        return none
     # The foot's middle is the origin of the plane.
     x, y = _flat(middles, normal)
     x, y = x - float(np.median(x[foot])), y - float(np.median(y[foot]))
@@ -89,7 +101,9 @@ def support_of(
     for which, of in enumerate((foot, members)):
         np.maximum.at(farthest[which], direction[of], away[of])
     goes_on = farthest[1] > farthest[0] + tolerance
-    return (members if goes_on.mean() >= SUPPORT.min_direction_share else none), normal
+    if goes_on.mean() < SUPPORT.min_direction_share:
+        return none
+    return Ground(members, np.abs(heights) < tolerance, normal)
 
 
 def below(middles: np.ndarray, body: Bools, normal: np.ndarray, edge: float) -> Bools:
