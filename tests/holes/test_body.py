@@ -265,3 +265,12 @@ def test_a_part_with_a_crease_around_it_is_no_body() -> None:
     assert 0.2 < spot[is_seat].mean() < 0.45
     body = body_of(splats, spot)
     assert body is None or body[len(floor) :].mean() > 0.98
+
+
+def test_a_few_of_what_was_selected_are_no_body(shared: Path) -> None:
+    """A place on a robot of long thin Gaussians: 3 of the 43 selected went, and no other."""
+    splats = io.read(shared / "data" / "splats" / "playbot_lod4_sh3.ply").numpy()
+    selected = np.linalg.norm(splats.means - (-0.00107, -0.90183, -0.00231), axis=1) < 0.17644
+    assert selected.sum() > 40
+    chosen, words = body_or_selection(splats, selected)
+    assert np.array_equal(chosen, selected) and "part of something larger" in words

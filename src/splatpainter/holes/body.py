@@ -190,7 +190,9 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     at_border[one[crossing]], at_border[two[crossing]] = True, True
     at_border |= ground.pieces & below(middles, is_body, ground.normal, edge)
     body[ids] = _refined(fine, pairs, within, at_border[pieces.piece])
-    return body
+    # Of a body in crumbs next to nothing may be left.
+    meant = ids[selected[ids] & ~ground.pieces[pieces.piece]]
+    return body if body[meant].mean() >= BODY.min_covered_share else None
 
 
 def _cut(
