@@ -21,16 +21,17 @@ from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_co
 from splatpainter.contact_sheet import Strip, sheet
 from splatpainter.image_files import encode_png
 from splatpainter.kernels import portable
-from splatpainter.lights.given_light import LIMITS as GIVEN
 from splatpainter.lights.given_light import (
+    HELD,
+    NEARLY,
+    ROUGHLY,
     EnvironmentUse,
     LightFit,
     Trust,
-    believed_unless_held_back,
+    better_turn,
     chosen_trust,
-    likely_trusts,
-    uncontradicted,
 )
+from splatpainter.lights.given_light import LIMITS as GIVEN
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_set import about_up, axes_of
 from splatpainter.lights.prepared import captured_light, lit_surface
@@ -192,30 +193,16 @@ def _judged(
     fitted: Callable[[Witnesses, Trust | None], _Lights],
     lit_by: Callable[[_Lights], Asset],
 ) -> EnvironmentUse:
-    """How far a given environment is believed: by the evidence of all witnesses, then by what is held back; and where
-    these prefer the pictures alone, whether they would rather have it turned."""
-    fits = {trust: luminance_fit(trust, given.light) for trust in (None, *GIVEN.trusts)}
-    noise = fits[None].noise(RATIO_NOISE)
-    evidence = {trust: fit.evidence(noise) for trust, fit in fits.items()}
-    likely = likely_trusts(evidence)
+    """How far a given environment is believed."""
+    noise = luminance_fit(None, given.light).noise(RATIO_NOISE)
+    evidence, *turned = (luminance_fit(NEARLY, light).evidence(noise) for light in (given.light, *given.turned()))
     used, judged = _held_back(splats, edits)
     half = _seen(splats, used)
     # Pictures that just show enough of the asset do not show it twice.
     enough = _trusted(surface, half).sum() >= MIN_WITNESSES
-
-    def held_back(trusts: Sequence[Trust]) -> dict[Trust | None, float]:
-        candidates = (None, *trusts) if enough else ()
-        return {trust: _score(lit_by(fitted(half, trust)).splats, judged) for trust in candidates}
-
-    use = chosen_trust(evidence, held_back(likely) if likely else {})
-    if use.trust is not None:
-        return use
-    # The likelier of those that bend: one that is held explains nothing that the fit cannot.
-    loose = max((trust for trust in GIVEN.trusts if not trust.holds_before), key=lambda trust: evidence[trust])
-    turned = [luminance_fit(GIVEN.judge, light).evidence(noise) for light in given.turned()]
-    if not uncontradicted(evidence[GIVEN.judge], turned, evidence[None]):
-        return use
-    return believed_unless_held_back(loose, held_back([loose]), use)
+    candidates = (None, HELD, NEARLY, ROUGHLY) if enough else ()
+    scores = {trust: _score(lit_by(fitted(half, trust)).splats, judged) for trust in candidates}
+    return chosen_trust(scores, better_turn(evidence, turned))
 
 
 def _faded(splats: Splats, edited: Splats, region: Where | None, mix: float) -> Splats:
