@@ -48,7 +48,8 @@ def load_mesh(path: str | Path) -> Mesh:
 
     Kept: base colour, metallic-roughness and normal maps, factors, vertex colours, cut-out alpha. Repaired: faces with
     NaN or out-of-range vertices and without area are dropped, missing normals are computed, missing UVs are projected
-    from the nearest side of a box, textures that cannot be decoded give way to the factor.
+    from the nearest side of a box, textures that cannot be decoded give way to the factor, as do other pictures in the
+    place of normal maps.
 
     Raises ValueError, one line that names the file: no such file, not a mesh, no faces left, too many triangles.
     """

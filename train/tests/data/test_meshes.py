@@ -41,8 +41,18 @@ def quad(**keys: Any) -> Mesh:
     return Mesh(**(values | keys))
 
 
+@pytest.mark.parametrize(
+    ("picture", "is_map"), [((150, 100, 220), True), ((14, 14, 14), False), ((174, 174, 174), False)]
+)
+def test_a_picture_of_heights_is_no_normal_map(tmp_path: Path, picture: tuple[int, int, int], is_map: bool) -> None:
+    image = Image.fromarray(np.full((4, 4, 3), picture, np.uint8))
+    trimesh.Scene(textured(normalTexture=image)).export(tmp_path / "one.glb")
+    (material,) = load_mesh(tmp_path / "one.glb").materials
+    assert (material.normal_map is not None) == is_map and material.base_color is not None
+
+
 def test_a_glb_keeps_maps_factors_and_several_parts_with_their_transforms(tmp_path: Path) -> None:
-    normal = Image.fromarray(np.full((4, 4, 3), 128, np.uint8))
+    normal = Image.fromarray(np.full((4, 4, 3), (128, 128, 255), np.uint8))
     metal = Image.fromarray(np.dstack([np.full((4, 4), v, np.uint8) for v in (0, 200, 100)]))
     scene = trimesh.Scene()
     scene.add_geometry(textured(normalTexture=normal, metallicRoughnessTexture=metal), geom_name="a")
