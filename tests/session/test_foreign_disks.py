@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
@@ -13,6 +14,7 @@ from typing import Any
 
 import pytest
 
+import splatpainter as sp
 from splatpainter.session.project import database, open_file
 from splatpainter.session.project.database import UnwritableError
 from splatpainter.session.project.disk_probe import locks_refused
@@ -502,23 +504,34 @@ def test_a_file_that_another_program_wrote_into_is_left_alone(path: Path, monkey
 
 
 @posix_only
+@pytest.mark.parametrize("later", [False, True], ids=["", "before the log was folded"])
 @pytest.mark.parametrize("content", ["another project", "an older state", "noise", "nothing"])
-def test_what_was_overwritten_is_saved_anew(content: str, path: Path, recwarn: pytest.WarningsRecorder) -> None:
+def test_what_was_overwritten_is_saved_anew(
+    content: str, later: bool, path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
     """Into the same file, whose inode stays, as some programs synchronise."""
+
+    def settling(session: sp.Session) -> contextlib.AbstractContextManager[None]:
+        return session.files.settling_later() if later else contextlib.nullcontext()
+
     other = path.with_name("other.splatproj")
     two_layers(other)
     session = flat(project=path)
     older = path.read_bytes()
     session.layers.add("paint", [dab(RED)])
     session.layers.add("paint", [dab(BLUE, 19)])
-    session.undo()
+    with settling(session):
+        session.undo()
+    assert database.has_log(path) == later
     state = print_of(session)
-    path.write_bytes(
-        {"another project": other.read_bytes(), "an older state": older, "noise": b"x" * 9000}.get(content, b"")
-    )
+    data = {"another project": other.read_bytes(), "an older state": older, "noise": b"x" * 9000}.get(content, b"")
+    path.write_bytes(data)
+    session.files.settle()
+    assert path.read_bytes() == data
     with pytest.raises(UnwritableError, match="was overwritten by another program .*; save_as another name keeps all"):
         session.layers.add("paint", [dab(GREEN)])
     session.files.save_as(path.with_name("saved.splatproj"))
+    assert path.read_bytes() == data and not database.has_log(path)
     assert print_of(session) == state and len(session.history) == 3
     session.layers.add("paint", [dab(GREEN)])
     state = print_of(session)
@@ -528,10 +541,13 @@ def test_what_was_overwritten_is_saved_anew(content: str, path: Path, recwarn: p
         again.verify()
     unsaved = flat(project=path.with_name("b.splatproj"))
     unsaved.layers.add("paint", [dab(RED)])
+    with settling(unsaved):
+        unsaved.layers.add("paint", [dab(BLUE, 19)])
     path.with_name("b.splatproj").write_bytes(older)
     unsaved.close()
+    assert path.with_name("b.splatproj").read_bytes() == older
     with load(path.with_name("b.rescued.splatproj")) as rescued:
-        assert len(rescued.layers) == 1
+        assert len(rescued.layers) == 2
     assert any("b.rescued.splatproj" in str(one.message) for one in recwarn.list)
 
 
@@ -541,8 +557,13 @@ def test_another_time_alone_is_no_other_file(path: Path) -> None:
         for moment in (1e9, 2e9):  # network folders correct times after a while
             os.utime(path, (moment, moment))
             session.layers.add("paint", [dab(BLUE)])
+        with session.files.settling_later():
+            session.layers.add("paint", [dab(BLUE)])
+        os.utime(path, (1e9, 1e9))
+        session.files.settle()
+        assert not database.has_log(path)
     with load(path) as session:
-        assert len(session.layers) == 3
+        assert len(session.layers) == 4
 
 
 def test_a_folder_that_cannot_be_reached_for_a_while(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

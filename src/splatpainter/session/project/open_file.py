@@ -33,15 +33,26 @@ class OpenFile:
             raise UnwritableError(f"{path}: cannot be reached ({error.strerror or error})") from None
         self._content: list[tuple] | None = None
         """What was written last; None: not known."""
+        self._stands_alone = self._waits_in_log = False
+        """Whether the file held all of it when it was noted, and whether what was committed since is in the log."""
 
     def note(self, connection: sqlite3.Connection) -> None:
         """What the file holds now was written through this connection. Raises nothing: what was committed is."""
         self._content = None
+        self._stands_alone = self._waits_in_log = False
         with contextlib.suppress(sqlite3.Error, OSError):
             content = connection.execute(database.WRITTEN_LAST).fetchall()
             identity, written = _signature(self._path) or (None, None)
             if identity == self._identity:
                 self._content, self._written = content, written
+                self._stands_alone = not database.has_log(self._path)
+
+    def waits_in_log(self) -> bool:
+        """Whether a commit is in the log alone and the file as it was noted: then it is told from one that another
+        program wrote, until the next `note`. SQLite folds long logs at once."""
+        with contextlib.suppress(OSError):
+            self._waits_in_log = self._stands_alone and _signature(self._path) == (self._identity, self._written)
+        return self._waits_in_log
 
     def problem(self) -> str:
         """GONE, REPLACED or OVERWRITTEN, "" where the file is as it was left. Raises OSError: it cannot be reached."""
@@ -88,8 +99,8 @@ class OpenFile:
 
     def _is_as_written(self) -> bool:
         """Whether the file alone holds what was written last, as far as that can be said."""
-        # Where the log may hold a part, the file alone says nothing against it.
-        if self._content is None or database.has_log(self._path):  # some of it may be there
+        # Where the log may hold a part of what was noted, the file alone says nothing against it.
+        if self._content is None or (database.has_log(self._path) and not self._waits_in_log):
             return True
         try:
             return database.written_last(self._path) == self._content

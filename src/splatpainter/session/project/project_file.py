@@ -12,7 +12,9 @@ import contextlib
 import itertools
 import json
 import os
+import shutil
 import sqlite3
+import tempfile
 import threading
 import time
 import warnings
@@ -184,6 +186,10 @@ class Project:
                     self._db.executescript("PRAGMA incremental_vacuum")  # execute() would free one page
                     self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
                     self._db.execute("PRAGMA journal_mode=DELETE").fetchall()
+            if problem and not self._is_settled:
+                # SQLite would fold the log into what is there now.
+                with contextlib.suppress(OSError):
+                    os.truncate(f"{self.path}-wal", 0)
             self._db.close()
             if problem and not database.has_log(self.path):  # SQLite leaves these beside a file that is not its own
                 for ending in ("-wal", "-shm"):
@@ -236,9 +242,10 @@ class Project:
             self._settles_later = False
 
     def settle(self) -> None:
-        """Fold what was committed into the file, unless that is done."""
+        """Fold what was committed into the file, unless that is done. Not into what another program wrote there since:
+        what is committed stays in the log, for copies (`_clone`)."""
         with self._mutex:
-            if not self._is_settled:
+            if not self._is_settled and not (self._file is not None and self._file.is_overwritten()):
                 self._settled()
 
     def _settled(self) -> Project:
@@ -271,8 +278,7 @@ class Project:
         with self._mutex, contextlib.ExitStack() as stack:
             source = self._db
             if spare is not None:
-                source = stack.enter_context(contextlib.closing(sqlite3.connect(":memory:")))
-                source.deserialize(without_log(spare))
+                source = stack.enter_context(self._opened_spare(spare))
             try:
                 source.backup(target, pages=1024)
             except sqlite3.Error as error:
@@ -281,6 +287,22 @@ class Project:
                 with database.one_line(self.path):
                     raise
         target.execute("PRAGMA journal_mode=DELETE").fetchall()
+
+    @contextlib.contextmanager
+    def _opened_spare(self, spare: bytes) -> Iterator[sqlite3.Connection]:
+        """The project as it was left, with what waits in the log."""
+        if self._is_settled:
+            with contextlib.closing(sqlite3.connect(":memory:")) as source:
+                source.deserialize(without_log(spare))
+                yield source
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / self.path.name
+            path.write_bytes(spare)
+            shutil.copyfile(f"{self.path}-wal", f"{path}-wal")
+            database.set_log_aside(path)
+            with contextlib.closing(sqlite3.connect(path)) as source:
+                yield source
 
     # ---- reading
 
@@ -545,8 +567,8 @@ class Project:
                     self._db.execute("ROLLBACK")
                 raise
             self._has_written, self._is_settled = True, False
-            if not self._settles_later:
-                self.settle()
+            if not (self._settles_later and self._file is not None and self._file.waits_in_log()):
+                self._settled()
 
 
 class Transaction:
