@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from splatpainter.gatekeeper import crop_search
+from splatpainter.pictures.lost_transparency import GROUND_NOTE
 from splatpainter.rendering import render
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.server.uploads.watched_folder import saved_picture
@@ -65,6 +66,28 @@ def test_the_flattened_picture_of_a_psd_is_painted_with(studio: Live, tmp_path: 
         assert checked["camera_source"] == "export" and checked["warnings"] == []
         seen = fetch(studio, checked["mask"]) > 127
         assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~mask).sum() < 0.2 * mask.sum()
+
+
+@pytest.mark.parametrize("ending", ["PNG", "JPEG"])
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_ground_that_a_program_laid_behind_the_picture_is_no_paint(studio: Live, ending: str, scale: int) -> None:
+    larger = view(96 * scale)
+    drawn = render(ball(), larger)
+    image, cover = np.clip(drawn.colors[0], 0, 1), drawn.alphas[0]
+    flat = image + (1 - cover) * (1 - np.array(larger.background))
+    mask = np.zeros(image.shape[:2], bool)
+    mask[40 * scale : 56 * scale, 36 * scale : 60 * scale] = True
+    flat[mask] = (0.9, 0.8, 0.1)
+    file = io.BytesIO()
+    Image.fromarray((flat.clip(0, 1) * 255).round().astype(np.uint8)).save(file, ending, quality=95)
+    checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
+    assert GROUND_NOTE in checked["notes"] and checked["warnings"] == []
+    seen, near = fetch(studio, checked["mask"]) > 127, np.zeros_like(mask)
+    near[32 * scale : 64 * scale, 32 * scale : 64 * scale] = True  # the dab's blocks of a JPEG
+    assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~near).sum() < 0.1 * mask.sum()
+    # What is painted with has the view's background, too.
+    picture = fetch(studio, checked["picture"])[..., :3] / 255
+    assert np.abs(picture - image)[~mask & ~seen].mean() < 0.02
 
 
 def test_a_picture_that_differs_everywhere_is_explained(studio: Live, tmp_path: Path) -> None:

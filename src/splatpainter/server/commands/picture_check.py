@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +20,7 @@ from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.pictures.edit_files import over_render, unmultiplied
 from splatpainter.pictures.encodings import edited_in_encoded
 from splatpainter.pictures.larger_views import edited_in_larger, larger_view
+from splatpainter.pictures.lost_transparency import GROUND_NOTE, without_its_ground
 from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.pictures.view_search import most_alike, same_shape, views_in
 from splatpainter.server.commands.context import (
@@ -95,6 +97,7 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     picture = unmultiplied(picture, alpha)
     placed = _placed(context, picture, camera, alpha, name)
     cover = render_alpha(studio.session.splats, placed.camera)
+    placed = _on_the_views_ground(context, placed, picture, cover)
     mask = _edited(placed, picture, cover, request.threshold)
     # From here on only warnings: the picture may be used all the same.
     warnings = _warnings(context, placed, mask, cover)
@@ -173,6 +176,23 @@ def _placed(context: CommandContext, picture: Picture, camera: Camera, alpha: Al
     return _Placed(camera, colors, render, render, shift, notes, False)
 
 
+def _on_the_views_ground(context: CommandContext, placed: _Placed, picture: Picture, cover: np.ndarray) -> _Placed:
+    """As it is, or with the view's background in place of that on which a program laid its transparency."""
+    if picture.alpha is not None or placed.is_part:
+        return placed
+    background = np.array(placed.camera.background, np.float32)
+    red, green, blue = to_display(background, context.studio.session.splats.color_space).tolist()
+    encoding = picture.encoding if _has_its_pixels(placed, picture) else None
+    colors = without_its_ground(placed.colors, placed.render, cover, (red, green, blue), encoding)
+    return placed if colors is None else replace(placed, colors=colors, notes=[*placed.notes, GROUND_NOTE])
+
+
+def _has_its_pixels(placed: _Placed, picture: Picture) -> bool:
+    """Whether the file's own pixels are compared, where compression is at home: once resampled or cut, its blocks are
+    gone."""
+    return picture.size == (placed.camera.width, placed.camera.height) and not placed.is_part
+
+
 def _edited(placed: _Placed, picture: Picture, cover: np.ndarray, threshold: float | None) -> np.ndarray:
     """[H, W] bool: pixels that count as edited, by where the picture's noise comes from: enlarging, compression, or
     neither. cover: [H, W] alpha of the asset there."""
@@ -180,9 +200,7 @@ def _edited(placed: _Placed, picture: Picture, cover: np.ndarray, threshold: flo
     if placed.is_larger and threshold is None:
         return edited_in_larger(colors, render, placed.view_render, cover)
     mask = registration.changed_mask(colors, render, cover, threshold)
-    # Compression is at home in the file's own pixels: once resampled or cut, its blocks are gone.
-    same_pixels = picture.size == (placed.camera.width, placed.camera.height) and not placed.is_part
-    if picture.encoding is not None and same_pixels and threshold is None:
+    if picture.encoding is not None and _has_its_pixels(placed, picture) and threshold is None:
         edited = edited_in_encoded(colors, render, cover, picture.encoding)
         return np.ones(mask.shape, bool) if edited is None else edited
     return mask
