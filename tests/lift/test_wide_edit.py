@@ -270,6 +270,23 @@ def test_detail_of_a_thin_object_is_detail_however_little_of_the_picture_it_fill
     assert len(edits_module.lift_local_views(asset, None, [inverted], "lift", surface=Surface.of(asset)).replaced)
 
 
+def test_the_next_edit_of_a_thin_close_up_is_of_a_close_up_still() -> None:
+    """The Gaussians that the first one added lie in its picture, and are then most of the asset's."""
+    asset, truth = rod(12, 26), rod(48, 120, 0.1)
+    camera = look_at((0.05, 0.1, 1.6), (0, 0, 0), width=PX, height=PX, fov=50, background=(0.5, 0.5, 0.5))
+    mask, surface = sp.render(truth, camera).alphas[0, ..., 0] > 0.5, Surface.of(asset)
+    splats = asset
+    for stripes in (0.1, 0.18, 0.1):
+        edited = picture(rod(48, 120, stripes), camera)
+        (view,) = edit_views(splats, [camera], [edited], [mask])
+        lifted = edits_module.lift_local_views(
+            splats, None, [view], "lift", features=False, surface=surface, originals=len(asset)
+        )
+        assert not len(lifted.replaced)  # no sheet
+        splats = lifted.splats
+    assert fills_view(splats, camera, mask, len(asset)) and not fills_view(splats, camera, mask)
+
+
 def test_close_ups_are_sharper_and_other_views_no_worse(monkeypatch) -> None:
     """Than after the rounds of all pictures; and not where Gaussians stayed, as noise is no detail."""
 

@@ -131,7 +131,7 @@ def lift_local_views(
         # Whether the edit fills its pictures decides the way: a zoom-in or restyled view is detail, paint on a part is
         # paint.
         close = surface is not None and options.resurface
-        close = close and all(fills_view(splats, view.camera, view.mask) for view in views)
+        close = close and all(fills_view(splats, view.camera, view.mask, originals) for view in views)
         # Lifted together, pictures that contradict each other would come out as their mean.
         if close and len(views) > 1 and len(runs := runs_that_agree(splats, views)) > 1:
             lifted = _in_turn(splats, surface, runs, options, originals)

@@ -89,16 +89,21 @@ def network_colors(
     return NetworkColors(np.clip(colors, 0, MAX_COLOR), variance)
 
 
-def repainted(network: LocalNetwork, asset: Splats, lifted: LiftedEdit, views: Sequence[EditView]) -> LiftedEdit:
+def repainted(
+    network: LocalNetwork, asset: Splats, lifted: LiftedEdit, views: Sequence[EditView], originals: int | None = None
+) -> LiftedEdit:
     """A lifted edit in the network's colours, held against the pictures: what `Painter.apply` makes of it. asset:
-    before the edit, numpy."""
-    return applied(lifted, network_colors(network, asset, lifted, views), views)
+    before the edit, numpy; originals: how many of its Gaussians are the original's (default: all)."""
+    count = len(asset) if originals is None else originals
+    return applied(lifted, network_colors(network, asset, lifted, views), views, count)
 
 
-def applied(lifted: LiftedEdit, answer: NetworkColors, views: Sequence[EditView]) -> LiftedEdit:
+def applied(
+    lifted: LiftedEdit, answer: NetworkColors, views: Sequence[EditView], originals: int | None = None
+) -> LiftedEdit:
     """The lifted edit as an answer changes it: `held`, and of close-ups (views whose whole content is edited) only
-    as far as they show each Gaussian."""
-    if not all(fills_view(lifted.splats, view.camera, view.mask) for view in views):
+    as far as they show each Gaussian. originals: as of `fills_view`."""
+    if not all(fills_view(lifted.splats, view.camera, view.mask, originals) for view in views):
         return held(lifted, answer, views)
     parts = [_visible_part(lifted, view) for view in views]
     share = np.max([visible for visible, _ in parts], 0)[:, None]

@@ -48,6 +48,11 @@ class Asset:
 
         return voxelize(self.splats) if self.make_grid is None else self.make_grid(self.splats)
 
+    @property
+    def originals(self) -> int:
+        """How many of the first Gaussians are the original's, counted before all edits: what came after is paint."""
+        return len(self.splats if self.original is None else self.original)
+
     @cached_property
     def surface(self) -> Surface:
         """Surface of the original; made on first use, and handed on by edits."""

@@ -268,7 +268,7 @@ class PicturesMethod(EditMethod):
         # Colours are replaced before the lift's result becomes an asset, so that parents and confidence are the lift's.
         # In float32 whatever the precision: bf16 would round away what its memory holds beside the markers of cells.
         with inference(self.network, "float32"):
-            lifted = repainted(self.network, asset.splats, lifted, views)
+            lifted = repainted(self.network, asset.splats, lifted, views, asset.originals)
         result = super().finish(asset, lifted, views, clock)
         clock.record_time("ttt")
         return result
@@ -315,14 +315,12 @@ def lift_locally(
     from splatpainter.lift.edits import lift_local_views
     from splatpainter.lift.options import LOCAL_DEFAULTS
 
-    # The original's number of Gaussians is counted before all edits: what came after is paint.
     options = settings.local_options or LOCAL_DEFAULTS
     surface = asset.surface if sheets else None
-    originals = len(asset.splats if asset.original is None else asset.original)
     # One view on a surface needs no voxels.
     grid = None if surface is not None and options.resurface and len(views) == 1 else asset.grid
     return lift_local_views(
-        asset.splats, grid, views, base, options, features=features, surface=surface, originals=originals
+        asset.splats, grid, views, base, options, features=features, surface=surface, originals=asset.originals
     )
 
 

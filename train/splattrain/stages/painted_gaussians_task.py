@@ -96,7 +96,7 @@ class PaintedGaussiansTask(Task[LocalNetwork]):
             if (value := row_decibels(sample, colors)) is not None:
                 numbers[f"rows {name}"] = value
         edits: dict[str, LiftedEdit] = {name: with_colors(lifted, colored) for name, colored in answers.items()}
-        edits |= {"held": applied(lifted, answer, [sample.view]), "lift": lifted}
+        edits |= {"held": applied(lifted, answer, [sample.view], len(asset)), "lift": lifted}
         edits["nothing"] = replace(lifted, splats=asset)
         strip = [("edited picture", sample.view.edited)]
         for name, edit in edits.items():

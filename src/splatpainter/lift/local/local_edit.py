@@ -51,15 +51,17 @@ def is_wide(mask: np.ndarray) -> bool:
     return bool(np.count_nonzero(mask) / mask.size > WIDE_EDIT_FRACTION)
 
 
-def fills_view(splats: Splats, camera: Camera, mask: np.ndarray) -> bool:
+def fills_view(splats: Splats, camera: Camera, mask: np.ndarray, originals: int | None = None) -> bool:
     """Whether an edit of these pixels ([H, W] bool) is one of the whole picture, or, in a close-up, of all that it
-    shows of the asset (numpy): a thin object fills little of any picture."""
+    shows of the asset (numpy): a thin object fills little of any picture. originals: how many of its Gaussians are the
+    original's (default: all); those that edits of this close-up added would make it one of the asset."""
     if is_wide(mask):
         return True
     if mask.mean() < CLOSE_UP_FRACTION:
         return False
     # The cheapest test first: most views show the whole asset.
-    some = np.ascontiguousarray(splats.means[:: max(len(splats) // CLOSE_UP_SAMPLE, 1)], np.float64)
+    means = splats.means[:originals]
+    some = np.ascontiguousarray(means[:: max(len(means) // CLOSE_UP_SAMPLE, 1)], np.float64)
     pixels, depths = camera.within(splats.offset).project(some)
     inside = (depths > 0) & ((pixels >= 0) & (pixels < mask.shape[::-1])).all(1)
     if inside.mean() > CLOSE_UP_INSIDE:

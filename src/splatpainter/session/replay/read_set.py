@@ -56,7 +56,7 @@ def read_set_of(
         return None
     # In the order of the asset, which decides sums in the arithmetic and so the bits.
     gaussian_ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
-    if fills_view(splats, camera, mask):  # views from all around count (lift/local/wide_edit.py)
+    if fills_view(splats, camera, mask, originals):  # views from all around count (lift/local/wide_edit.py)
         gaussian_ids = np.arange(len(splats))
     # How many are the original's counts too: only the indices of the others are free.
     digest = hashlib.sha256(np.packbits(may_split[gaussian_ids]).tobytes())
