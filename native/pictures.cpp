@@ -47,12 +47,13 @@ struct ScanBits {
         count -= entry >> 8;
         return entry ? entry & 255 : -1;
     }
-    // Whether nothing but bits of one kind, of at most so many bytes, lies between here and the marker that ends the scan.
+    // Whether nothing but bits of one kind, of at most so many bytes, lies between here and the marker that ends the
+    // scan.
     SP_SMALL bool ends(i64 most) {
         i64 bytes = 0;
         bool ones = true, zeros = true;
         do {
-            const u64 rest = count > 0 ? held & ((u64(1) << count) - 1) : 0, all = (u64(1) << (count > 0 ? count : 0)) - 1;
+            const u64 all = (u64(1) << (count > 0 ? count : 0)) - 1, rest = held & all;
             ones = ones && rest == all, zeros = zeros && !rest;
             bytes += count / 8;
             count = 0, fill();
