@@ -68,5 +68,6 @@ def test_other_backgrounds_are_what_they_were(asset: Splats) -> None:
     render, cover = drawn(asset, CAMERA)
     shaded = render + (1 - cover[..., None]) * (X / SIZE - 0.5)[..., None] * 0.4
     filled = np.where((Y > 80)[..., None], 0, render)  # its lower third painted black, asset and background
+    background = np.asarray(CAMERA.background, np.float32)
     for picture in (painted_over(asset, np.full(3, 0.25)), shaded, filled, 1 - render, 0.5 * render + 0.4):
-        assert without_its_ground(picture.astype(np.float32), render, cover, CAMERA.background, None) is None
+        assert without_its_ground(picture.astype(np.float32), render, cover, background, None) is None

@@ -178,15 +178,18 @@ def _on_the_views_ground(source: PictureFile, view: _ComparedView, splats: Splat
     """Both, of a picture that lost its transparency, with the view's background in place of what lies behind it."""
     if source.picture.alpha is not None or source.photograph is not None:
         return source, view
-    red, green, blue = to_display(np.asarray(view.camera.background, np.float32), splats.color_space).tolist()
-    encoding = source.picture.encoding
-    colors = without_its_ground(view.colors, view.render, view.cover, (red, green, blue), encoding)
+    background = to_display(np.asarray(view.camera.background, np.float32), splats.color_space)
+
+    def cleared(seen: _ComparedView) -> np.ndarray | None:
+        return without_its_ground(seen.colors, seen.render, seen.cover, background, source.picture.encoding)
+
+    colors = cleared(view)
     if colors is None:
         return source, view
     seen = replace(view, colors=colors)
     if source.view is not None:  # the larger picture that is painted with
         larger = _compared(source, splats)
-        colors = without_its_ground(larger.colors, larger.render, larger.cover, (red, green, blue), encoding)
+        colors = cleared(larger)
         colors = larger.colors if colors is None else colors
     picture = replace(source.picture, colors=colors)
     return replace(source, picture=picture, notes=(GROUND_NOTE, *source.notes)), seen

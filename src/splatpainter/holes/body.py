@@ -211,7 +211,7 @@ def _cut(
     chosen = np.where(ground.pieces, 0, chosen)
     links = links * np.where(ground.pieces[one] != ground.pieces[two], BODY.support_link, 1)
     if ground.pieces.any():
-        links = np.where(ground.height[one] | ground.height[two], links, np.maximum(links, BODY.held_link))
+        links = np.where(ground.at_height[one] | ground.at_height[two], links, np.maximum(links, BODY.held_link))
     seen = seen[~ground.pieces[seen]]
     if not len(seen):
         return np.zeros(len(chosen), bool), links
@@ -224,7 +224,7 @@ def _cut(
     low, high = BODY.level_shares[0] * most, min(BODY.level_shares[1] * most, least)
     levels = np.linspace(low, max(low, high), BODY.levels)
     is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, pieces.counts)
-    return _without_crumbs(one, two, is_body, pieces.counts, ground.height), links
+    return _without_crumbs(one, two, is_body, pieces.counts, ground.at_height), links
 
 
 def _hangs(pieces: _Pieces, edges: tuple[np.ndarray, np.ndarray], is_body: Bools, seen: np.ndarray) -> bool:

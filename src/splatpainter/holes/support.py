@@ -44,7 +44,7 @@ class Ground:
 
     pieces: Bools
     """[P] bool: those of it."""
-    height: Bools
+    at_height: Bools
     """[P] bool: all at its height, whichever way they face."""
     normal: np.ndarray
     """[3] unit; zeros where there is none."""

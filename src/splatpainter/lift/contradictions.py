@@ -9,7 +9,7 @@ import numpy as np
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.lift.warping import ViewedChange
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -43,8 +43,7 @@ def runs_that_agree(splats: Splats, views: Sequence[EditView]) -> list[list[Edit
     runs: list[list[EditView]] = []
     changes: list[ViewedChange] = []
     for view in views:
-        depth = project(splats, view.camera).rasterize()[2]
-        change = _change_of(view, depth)
+        change = _change_of(view, drawn_view(splats, view.camera).depths)
         if not runs or any(_share(earlier, change) > CONTRADICTIONS.min_share for earlier in changes):
             runs.append([])
             changes = []

@@ -49,17 +49,17 @@ def without_its_ground(
     picture: np.ndarray,
     render: np.ndarray,
     cover: np.ndarray,
-    background: tuple[float, float, float],
+    background: np.ndarray,
     encoding: Encoding | None,
 ) -> np.ndarray | None:
     """[H, W, 3] the picture with everything as it was rendered that differs by its ground alone; None where it stands
-    on the view's background, or where no ground can be told. picture, render: [H, W, 3], the latter over `background`;
-    cover: [H, W] alpha of the asset."""
+    on the view's background, or where no ground can be told. picture, render: [H, W, 3], the latter over `background`
+    ([3]); cover: [H, W] alpha of the asset."""
     bare = cover <= GROUNDS.max_cover
     if bare.mean() < GROUNDS.min_bare_share:
         return None
-    behind, view_ground = picture[bare], np.asarray(background, np.float32)
-    if (np.abs(behind - view_ground).max(1) > GROUNDS.min_other).mean() < GROUNDS.min_other_share:
+    behind = picture[bare]
+    if (np.abs(behind - background).max(1) > GROUNDS.min_other).mean() < GROUNDS.min_other_share:
         return None
     solid = cover > GROUNDS.min_solid
     unchanged = largest_channel(np.abs(box_mean(picture - render, 1))) <= GROUNDS.max_noise
@@ -71,7 +71,7 @@ def without_its_ground(
     if (apart <= GROUNDS.max_noise).mean() < GROUNDS.min_explained or pure.mean() < GROUNDS.min_pure:
         return None
     clear = 1 - cover[..., None]
-    drawn = render - clear * view_ground
+    drawn = render - clear * background
     expected = drawn + _between(picture - drawn, clear * first, clear * second)
     expected = np.clip(expected, 0, 1).astype(np.float32)
     mask = change_mask(picture, expected) if encoding is None else edited_in_encoded(picture, expected, cover, encoding)

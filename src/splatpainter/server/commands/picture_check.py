@@ -180,10 +180,10 @@ def _on_the_views_ground(context: CommandContext, placed: _Placed, picture: Pict
     """As it is, or with the view's background in place of that on which a program laid its transparency."""
     if picture.alpha is not None or placed.is_part:
         return placed
-    background = np.array(placed.camera.background, np.float32)
-    red, green, blue = to_display(background, context.studio.session.splats.color_space).tolist()
+    space = context.studio.session.splats.color_space
+    background = to_display(np.asarray(placed.camera.background, np.float32), space)
     encoding = picture.encoding if _has_its_pixels(placed, picture) else None
-    colors = without_its_ground(placed.colors, placed.render, cover, (red, green, blue), encoding)
+    colors = without_its_ground(placed.colors, placed.render, cover, background, encoding)
     return placed if colors is None else replace(placed, colors=colors, notes=[*placed.notes, GROUND_NOTE])
 
 
