@@ -256,6 +256,15 @@ def test_legs_of_another_colour_go_with_what_they_carry() -> None:
     assert body[: len(floor)].mean() < 0.005
 
 
+def test_the_ground_is_found_around_a_body_whose_selection_does_not_reach_it() -> None:
+    """Most of a seat and the upper halves of its legs: the lower ones go along, and nothing of the ground."""
+    floor, (seat, legs) = ground((0.5, 0.35, 0.2)), stool()
+    splats = floor.append(seat).append(legs)
+    stands = np.arange(len(splats)) >= len(floor)
+    body = body_of(splats, stands & (splats.means[:, 1] > 0.25) & (splats.means[:, 2] > -0.25))
+    assert body is not None and np.array_equal(body, stands)
+
+
 def test_a_part_with_a_crease_around_it_is_no_body() -> None:
     """A place on the seat, which stands on no plane: not the seat without its legs."""
     floor, (seat, legs) = ground((0.5, 0.35, 0.2)), stool()

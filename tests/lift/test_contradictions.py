@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,12 @@ import splatpainter as sp
 from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.contradictions import runs_that_agree
 from splatpainter.lift.edit_views import EditView, edit_views
-from splatpainter.lift.edits import lift_local_views
+from splatpainter.lift.edits import LiftedEdit, lift_local_views
+from splatpainter.lift.features import no_features
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.voxels.grid import voxelize
-from tests.support.lift_scenes import db, sheet
+from tests.support.lift_scenes import db, rod, sheet
 
 WARM, COOL = (1.3, 0.7, 0.6), (0.6, 0.8, 1.3)
 
@@ -82,3 +85,30 @@ def test_views_of_different_places_do_not_contradict_each_other() -> None:
     left[:, :30], right[:, 34:] = True, True
     cameras, pictures = [view.camera for view in views], [view.edited for view in views]
     assert len(runs_that_agree(splats, edit_views(splats, cameras, pictures, [left, right]))) == 1
+
+
+def test_detail_of_one_truth_from_two_sides_is_no_contradiction() -> None:
+    """Fine stripes lie beside themselves, as surfaces of coarse Gaussians are not where the truth's are."""
+    asset, truth = rod(12, 26), rod(48, 120, 0.3)
+    cameras = [
+        look_at((x, y, 1.15), (0, 0, 0), width=96, height=96, fov=50, background=(0.5, 0.5, 0.5))
+        for x, y in ((0.3, 0.1), (-0.3, -0.1))
+    ]
+    drawn = [sp.render(truth, camera) for camera in cameras]
+    views = edit_views(asset, cameras, [out.colors[0] for out in drawn], [out.alphas[0, ..., 0] > 0.5 for out in drawn])
+    assert len(runs_that_agree(asset, views)) == 1
+
+
+def test_what_was_split_twice_comes_of_the_asset() -> None:
+    """Of three Gaussians the first edit splits one, the second one splits what came of it and takes another away."""
+    splats = sheet(4, opacity=0.98).take(np.arange(5))
+    of_four, last = (splats.take(np.arange(count)) for count in (4, 5))
+    opacities = last.opacities.copy()
+    opacities[2] = 0
+    first = LiftedEdit(of_four, np.array([1, 3]), np.array([1, 1]), no_features(np.arange(2)), replaced=np.array([0]))
+    second = LiftedEdit(
+        replace(last, opacities=opacities), np.array([2, 3, 4]), np.array([2, 3, 3]), no_features(np.arange(3))
+    )
+    both = first.followed_by(second, 3)
+    assert both.ids.tolist() == [1, 2, 3, 4] and both.parents.tolist() == [1, 2, 1, 1]
+    assert both.replaced.tolist() == [0] and both.removed.tolist() == [2] and len(both.splats) == 5

@@ -117,3 +117,17 @@ def dense_weights(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarra
         weights[i] = alphas[i] * left
         left = left * (1 - alphas[i])
     return weights, left
+
+
+def rod(around: int, along: int, stripes: float = 0.0) -> Splats:
+    """Along x, of radius 0.15, with stripes of that strength."""
+    angles, steps = np.arange(around) * 2 * np.pi / around, np.linspace(-1, 1, along)
+    a, x = (part.ravel() for part in np.meshgrid(angles, steps))
+    colors = 0.5 + 0.25 * np.stack([np.sin(5 * x + a), np.cos(4 * x - a), np.sin(6 * x)], 1)
+    colors += stripes * np.sin(30 * x + 3 * a)[:, None]
+    scales = 0.75 * np.broadcast_to([2 / along, 0.3 * np.pi / around, 0.002], (len(a), 3))
+    means = np.stack([x, -0.15 * np.sin(a), 0.15 * np.cos(a)], 1)
+    quats = np.stack([np.cos(a / 2), np.sin(a / 2), 0 * a, 0 * a], 1)
+    sh, opacities = (colors[:, None] - 0.5) / SH_C0, np.full(len(a), 0.95, np.float32)
+    means, quats, scales, sh = (values.astype(np.float32) for values in (means, quats, scales, sh))
+    return Splats(means, quats, scales, opacities, sh)
