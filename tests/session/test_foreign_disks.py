@@ -551,6 +551,27 @@ def test_what_was_overwritten_is_saved_anew(
     assert any("b.rescued.splatproj" in str(one.message) for one in recwarn.list)
 
 
+@posix_only
+def test_a_late_log_that_cannot_be_rescued_is_kept_beside_what_another_program_wrote(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = flat(project=path)
+    older = path.read_bytes()
+    session.layers.add("paint", [dab(RED)])
+    with session.files.settling_later():
+        session.layers.add("paint", [dab(BLUE, 19)])
+    log = path.with_name(path.name + "-wal").read_bytes()
+    path.write_bytes(older)
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Project, "copy", full)
+    session.close()
+    assert path.read_bytes() == older
+    assert path.with_name(path.name + database.UNUSED_LOG).read_bytes() == log
+
+
 def test_another_time_alone_is_no_other_file(path: Path) -> None:
     with flat(project=path) as session:
         session.layers.add("paint", [dab(RED)])

@@ -176,8 +176,7 @@ class Project:
             if self._lock is not None:
                 self.settle()
             problem = "" if self._file is None or self._lock is None else self._file.is_lost()
-            if problem and self._has_written and not is_copied:
-                self._rescue(problem)
+            is_kept = is_copied or not problem or not self._has_written or self._rescue(problem)
             if self._lock is not None and not problem:
                 # A reader in the way, or a full disk: all is in the log, for the next opener.
                 with contextlib.suppress(sqlite3.Error):
@@ -188,8 +187,12 @@ class Project:
                     self._db.execute("PRAGMA journal_mode=DELETE").fetchall()
             if problem and not self._is_settled:
                 # SQLite would fold the log into what is there now.
+                log = f"{self.path}-wal"
                 with contextlib.suppress(OSError):
-                    os.truncate(f"{self.path}-wal", 0)
+                    if not is_kept:
+                        shutil.copyfile(log, f"{self.path}{database.UNUSED_LOG}")
+                with contextlib.suppress(OSError):
+                    os.truncate(log, 0)
             self._db.close()
             if problem and not database.has_log(self.path):  # SQLite leaves these beside a file that is not its own
                 for ending in ("-wal", "-shm"):
@@ -199,8 +202,8 @@ class Project:
                 self._lock.release()
                 self._lock = None
 
-    def _rescue(self, problem: str) -> None:
-        """Write what was done in a file that is gone into a new one beside it."""
+    def _rescue(self, problem: str) -> bool:
+        """Write what was done in a file that is gone into a new one beside it. Returns whether that could be done."""
         names = (f"{self.path.stem}.rescued{k}{database.SUFFIX}" for k in itertools.chain([""], range(2, 1000)))
         target = next((path for path in map(self.path.with_name, names) if not path.exists()), None)
         with contextlib.suppress(ValueError, OSError):  # its folder went too, or its disk is full
@@ -208,6 +211,8 @@ class Project:
                 self.copy(target)
                 self.note = f"{self.path}: {problem}; what was done in it is in {target.name}"
                 warnings.warn(self.note, stacklevel=4)
+                return True
+        return False
 
     def check_file(self) -> None:
         """Raises UnwritableError where the file was deleted, moved or replaced since it was opened, or cannot be
