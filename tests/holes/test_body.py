@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from splatpainter import io
 from splatpainter.demo_asset import demo_asset, demo_view
-from splatpainter.holes.body import _swept, body_of, body_or_selection
+from splatpainter.holes.body import _swept, _without_crumbs, body_of, body_or_selection
 from splatpainter.session.selection.selection import in_mask
 from splatpainter.splats import SH_C0, Splats
 
@@ -263,6 +264,18 @@ def test_the_ground_is_found_around_a_body_whose_selection_does_not_reach_it() -
     stands = np.arange(len(splats)) >= len(floor)
     body = body_of(splats, stands & (splats.means[:, 1] > 0.25) & (splats.means[:, 2] > -0.25))
     assert body is not None and np.array_equal(body, stands)
+
+
+def test_what_hangs_together_by_the_ground_alone_goes_with_the_body() -> None:
+    """A seat of ten pieces, two legs that touch it and the ground's edge, the ground, and a wall behind it. Of 370
+    selections of the survey 53 came out wrong where legs were joined by the ground, 45 where they are not."""
+    seat, legs, edge, ground_around, wall = np.arange(10), (10, 11), 12, np.arange(12, 40), np.arange(39, 60)
+    pairs = [(a, b) for chain in (seat, ground_around, wall) for a, b in itertools.pairwise(chain)]
+    pairs += [(leg, other) for leg in legs for other in (3, edge)]
+    one, two = np.array(pairs).T
+    is_body, at_height = np.arange(60) < 10, (np.arange(60) >= edge) & (np.arange(60) < 40)
+    whole = _without_crumbs(one, two, is_body, np.ones(60), at_height)
+    assert np.array_equal(whole, np.arange(60) < edge)
 
 
 def test_a_part_with_a_crease_around_it_is_no_body() -> None:

@@ -328,6 +328,14 @@ def test_a_deflated_tiff_or_psd_with_another_sum_is_no_paint(tmp_path: Path) -> 
     path.write_bytes(data[:last] + bytes([data[last] ^ 1]) + data[last + 1 :])
     with pytest.raises(ValueError, match=r"a.tif: damaged picture \(strip 0 does not unpack"):
         read_picture(path)
+    # All pixels are there, and the sum behind them is cut off.
+    (at,) = struct.unpack_from("<I", data, 4)
+    tags = [tag for tag, *_ in struct.iter_unpack("<HHII", data[at + 2 : at + 2 + 12 * data[at]])]
+    place = at + 2 + 12 * tags.index(279) + 8
+    (packed,) = struct.unpack_from("<I", data, place)
+    path.write_bytes(data[:place] + struct.pack("<I", packed - 2) + data[place + 4 :])
+    with pytest.raises(ValueError, match=r"a.tif: damaged picture \(strip 0 does not unpack"):
+        read_picture(path)
     planes = zlib.compress(np.asarray(noisy(32, 24)).transpose(2, 0, 1).tobytes(), 0)
     head = b"8BPS\0\1" + bytes(6) + struct.pack(">HIIHH", 3, 24, 32, 8, 3) + bytes(12) + b"\0\2"
     path = tmp_path / "a.psd"
