@@ -274,8 +274,8 @@ def test_what_hangs_together_by_the_ground_alone_goes_with_the_body() -> None:
     pairs += [(leg, other) for leg in legs for other in (3, edge)]
     one, two = np.array(pairs).T
     is_body, at_height = np.arange(60) < 10, (np.arange(60) >= edge) & (np.arange(60) < 40)
-    whole = _without_crumbs(one, two, is_body, np.ones(60), at_height)
-    assert np.array_equal(whole, np.arange(60) < edge)
+    result = _without_crumbs(one, two, is_body, np.ones(60), at_height)
+    assert np.array_equal(result, np.arange(60) < edge)
 
 
 def test_a_part_with_a_crease_around_it_is_no_body() -> None:

@@ -92,7 +92,7 @@ def test_detail_of_one_truth_from_two_sides_is_no_contradiction() -> None:
     asset, truth = rod(12, 26), rod(48, 120, 0.3)
     cameras = [
         look_at((x, y, 1.15), (0, 0, 0), width=96, height=96, fov=50, background=(0.5, 0.5, 0.5))
-        for x, y in ((0.3, 0.1), (-0.3, -0.1))
+        for x, y in ((0.8, 0.27), (-0.8, -0.27))
     ]
     drawn = [sp.render(truth, camera) for camera in cameras]
     views = edit_views(asset, cameras, [out.colors[0] for out in drawn], [out.alphas[0, ..., 0] > 0.5 for out in drawn])

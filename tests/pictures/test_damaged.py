@@ -331,9 +331,9 @@ def test_a_deflated_tiff_or_psd_with_another_sum_is_no_paint(tmp_path: Path) -> 
     # All pixels are there, and the sum behind them is cut off.
     (at,) = struct.unpack_from("<I", data, 4)
     tags = [tag for tag, *_ in struct.iter_unpack("<HHII", data[at + 2 : at + 2 + 12 * data[at]])]
-    place = at + 2 + 12 * tags.index(279) + 8
-    (packed,) = struct.unpack_from("<I", data, place)
-    path.write_bytes(data[:place] + struct.pack("<I", packed - 2) + data[place + 4 :])
+    position = at + 2 + 12 * tags.index(279) + 8
+    (packed,) = struct.unpack_from("<I", data, position)
+    path.write_bytes(data[:position] + struct.pack("<I", packed - 2) + data[position + 4 :])
     with pytest.raises(ValueError, match=r"a.tif: damaged picture \(strip 0 does not unpack"):
         read_picture(path)
     planes = zlib.compress(np.asarray(noisy(32, 24)).transpose(2, 0, 1).tobytes(), 0)

@@ -176,7 +176,7 @@ class Project:
             if self._lock is not None:
                 self.settle()
             problem = "" if self._file is None or self._lock is None else self._file.is_lost()
-            is_kept = is_copied or not problem or not self._has_written or self._rescue(problem)
+            has_copy = is_copied or not problem or not self._has_written or self._rescue(problem)
             if self._lock is not None and not problem:
                 # A reader in the way, or a full disk: all is in the log, for the next opener.
                 with contextlib.suppress(sqlite3.Error):
@@ -189,7 +189,7 @@ class Project:
                 # SQLite would fold the log into what is there now.
                 log = f"{self.path}-wal"
                 with contextlib.suppress(OSError):
-                    if not is_kept:
+                    if not has_copy:
                         shutil.copyfile(log, f"{self.path}{database.UNUSED_LOG}")
                 with contextlib.suppress(OSError):
                     os.truncate(log, 0)
