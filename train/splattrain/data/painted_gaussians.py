@@ -200,13 +200,14 @@ class PaintedGaussianStream:
             if i in self._bad:
                 continue
             try:
-                return self._scene_of(i, kind, rng)
+                return self.scene_of(i, kind, rng)
             except ValueError as error:
                 self._bad[i] = str(error)
         reason = next(iter(self._bad.values()), "the source is empty")
         raise ValueError(f"samples: none of the {count} objects can be used; the first: {reason}")
 
-    def _scene_of(self, i: int, kind: PaintedAssetKind, rng: np.random.Generator) -> PaintedScene:
+    def scene_of(self, i: int, kind: PaintedAssetKind, rng: np.random.Generator) -> PaintedScene:
+        """Object `i` of the source as an asset of this kind. Raises ValueError where it cannot be one."""
         recipe, name = self.recipe, self.source.name(i)
         roughness, seed = float(rng.uniform(*recipe.fuzz)), int(rng.integers(1 << 31))
         item = mesh_object(name, self.source.mesh(i), recipe.surfels, recipe.rows, roughness, seed, "cpu")

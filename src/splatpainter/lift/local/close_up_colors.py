@@ -8,7 +8,7 @@ it goes back to its colour before the edit, is learnt from novel views of the tr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.local.evidence import footprints
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.splats import SH_C0, Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 CLOSE_UP_ROUNDS = 12
 """Rounds of base colours, of which a part is taken."""
@@ -30,31 +31,50 @@ LEARNT = (
     (0.149, 0.178, 0.178, 0.222, 0.201, 0.176, 0.209),
     (0.008, 0.007, 0.006, 0.009, 0.015, 0.004, 0.004),
 )
-"""What each of `_features` adds to the share of the rounds, and of the way back to the colour before. Ridge regression
-(as much as the diagonal) on 126 close-ups: of 60 training meshes, sampled or fitted by 3DGS, and of three captures made
-coarser. Eight novel views near each, four of the object, and 0.2 times itself count, by what they gain in dB. Novel
-close-ups / whole object / edited view of held-out objects, dB, before and after: clean (29) 29.70 / 27.53 / 35.9, 29.78
-/ 27.53 / 36.8; fitted (29) 26.34 / 27.63 / 34.4, 26.42 / 27.63 / 35.6; three other captures (12 views) 31.08 / 24.01 /
-40.5, 31.11 / 24.01 / 41.3."""
+"""What each of `gaussian_features` adds to the share of the rounds, and of the way back to the colour before. Ridge
+regression (as much as the diagonal) on 126 close-ups: of 60 training meshes, sampled or fitted by 3DGS, and of three
+captures made coarser. Eight novel views near each, four of the object, and 0.2 times itself count, by what they gain in
+dB. Novel close-ups / whole object / edited view of held-out objects, dB, before and after: clean (29) 29.70 / 27.53 /
+35.9, 29.78 / 27.53 / 36.8; fitted (29) 26.34 / 27.63 / 34.4, 26.42 / 27.63 / 35.6; three other captures (12 views)
+31.08 / 24.01 / 40.5, 31.11 / 24.01 / 41.3.
+
+`python scripts/calibrate/close_up_colors.py DATA CACHE` fits such numbers. Other close-ups of such assets give others,
+at most 0.07 away, which gain as much (docs/ADAPTATION.md)."""
 
 
-def sharpened(
-    splats: Splats, before: Floats, views: Sequence[EditView], solid: Sequence[Floats], movable: Bools
-) -> Floats:
-    """[N, K, 3] SH of a lifted asset, with more of the close-ups' detail. before: [N, 3] band 0 of what each Gaussian
-    was or was split from; solid: [H, W] for each view, what its pixels count; movable: [N] bool."""
-    ids = np.flatnonzero(movable)
-    result = splats
-    for view, use in zip(views, solid, strict=True):
-        result = replace(result, sh=_after_rounds(result, view, use, movable))
-    facts = _features(splats, views, ids)
-    rounds, back = ((facts * weights).sum(1, dtype=np.float64)[:, None] for weights in np.array(LEARNT))
-    band = splats.sh[ids, 0].astype(np.float64)
-    change = rounds * (result.sh[ids, 0] - band) + back * (before[ids] - band)
+@dataclass(frozen=True)
+class CloseUps:
+    """What the close-ups of a lifted asset show. N Gaussians, V views."""
+
+    views: Sequence[EditView]
+    """V."""
+    solid: Sequence[Floats] = field(repr=False)
+    """[H, W] for each view: what its pixels count."""
+    before: Floats = field(repr=False)
+    """[N, 3] band 0 of what each Gaussian was, or was split from."""
+    movable: Bools = field(repr=False)
+    """[N] bool: Gaussians whose colours may change."""
+
+
+def sharpened(splats: Splats, close_ups: CloseUps, learnt: Sequence[Sequence[float]] = LEARNT) -> Floats:
+    """[N, K, 3] SH of a lifted asset, with more of the close-ups' detail."""
+    ids = np.flatnonzero(close_ups.movable)
+    facts, ways = gaussian_features(splats, close_ups.views, ids), ways_of_change(splats, close_ups, ids)
+    rounds, back = ((facts * weights).sum(1, dtype=np.float64)[:, None] for weights in np.array(learnt))
+    change = rounds * ways[0] + back * ways[1]
     moved = np.abs(change).max(1) * SH_C0 > MIN_CHANGE
     sh = splats.sh.copy()
     sh[ids[moved], 0] += change[moved].astype(sh.dtype)
     return sh
+
+
+def ways_of_change(splats: Splats, close_ups: CloseUps, ids: Ids) -> tuple[Floats, Floats]:
+    """([J, 3], [J, 3]) float64 of band 0: all of CLOSE_UP_ROUNDS, and all the way back to before."""
+    result = splats
+    for view, use in zip(close_ups.views, close_ups.solid, strict=True):
+        result = replace(result, sh=_after_rounds(result, view, use, close_ups.movable))
+    band = splats.sh[ids, 0].astype(np.float64)
+    return result.sh[ids, 0] - band, close_ups.before[ids] - band
 
 
 def _after_rounds(splats: Splats, view: EditView, use: Floats, movable: Bools) -> Floats:
@@ -69,7 +89,7 @@ def _after_rounds(splats: Splats, view: EditView, use: Floats, movable: Bools) -
     return sh
 
 
-def _features(splats: Splats, views: Sequence[EditView], ids: Ids) -> Floats:
+def gaussian_features(splats: Splats, views: Sequence[EditView], ids: Ids) -> Floats:
     """[J, 7] float64: 1, opacity, and of the view that shows most of each Gaussian the most that it makes of a pixel,
     the share of its footprint that is shown, of what nothing covers, and how many pixels it is and would be."""
     best = np.zeros((len(splats), 5))

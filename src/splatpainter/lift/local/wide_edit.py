@@ -31,7 +31,7 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.kernels import portable
 from splatpainter.lift.edit_views import EditView, errors_name
-from splatpainter.lift.local.close_up_colors import sharpened
+from splatpainter.lift.local.close_up_colors import CloseUps, sharpened
 from splatpainter.lift.local.joint_colors import TargetPicture, recolored_together
 from splatpainter.lift.local.local_edit import MIN_VISIBLE_SHARE, NOTHING_THERE, split_local
 from splatpainter.lift.local.views_around import views_around
@@ -91,6 +91,17 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     """Write the masked pixels of all views onto the splats together. options: `rounds` and `damping` count.
 
     Raises ValueError, naming the view, where no Gaussian contributes to its masked pixels."""
+    lifted, close_ups = soft_lift(splats, views, options)
+    result = lifted.splats
+    # What Gaussians were moved for is detail of the truth, of which the rounds that views around hold leave some out.
+    if close_ups is not None and options.rounds:
+        result = replace(result, sh=sharpened(result, close_ups))
+    return replace(lifted, splats=result, touched=changed_rows(splats, result))
+
+
+def soft_lift(splats: Splats, views: Sequence[EditView], options: LocalOptions) -> tuple[WideLift, CloseUps | None]:
+    """(`lift_wide` without more of the close-ups' own, None where no Gaussian was moved); `touched` is of splitting
+    alone."""
     # Geometry first: badly placed Gaussians cannot be mended by colours.
     moved = _moved(splats, views)
     degree = min(splats.sh_degree, 1) if moved is not splats else 0
@@ -105,12 +116,11 @@ def lift_wide(splats: Splats, views: Sequence[EditView], options: LocalOptions) 
     # Both kinds of pictures go into one solve, each with its weight.
     further = [TargetPicture.of(project(split.splats, camera), image, use, movable) for camera, image, use in around]
     result = replace(split.splats, sh=recolored_together(split.splats, pictures, further, options, degree))
-    # What Gaussians were moved for is detail of the truth, of which the rounds that views around hold leave some out.
-    if moved is not splats and options.rounds:
+    close_ups = None
+    if moved is not splats:
         before = splats.sh[np.append(np.arange(len(splats)), split.parents), 0]
-        sh = sharpened(result, before, views, [_solid(view) for view in views], movable)
-        result = replace(result, sh=sh)
-    return replace(split, splats=result, touched=changed_rows(splats, result))
+        close_ups = CloseUps(views, [_solid(view) for view in views], before, movable)
+    return replace(split, splats=result), close_ups
 
 
 def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
