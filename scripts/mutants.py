@@ -544,22 +544,22 @@ MUTATIONS = (
     Mutation(
         "a close-up's further rounds are taken away",
         "lift/local/close_up_colors.py",
-        "change = rounds * (",
-        "change = -rounds * (",
+        "change = rounds * ways[0]",
+        "change = -rounds * ways[0]",
         (CLOSE_UPS,),
     ),
     Mutation(
         "a close-up's further rounds are left out",
         "lift/local/close_up_colors.py",
-        "change = rounds * (",
-        "change = 0 * rounds * (",
+        "change = rounds * ways[0]",
+        "change = 0 * ways[0]",
         (CLOSE_UPS,),
     ),
     Mutation(
         "a close-up's further rounds are taken whole",
         "lift/local/close_up_colors.py",
-        "change = rounds * (",
-        "change = 1.0 * (",
+        "change = rounds * ways[0]",
+        "change = ways[0]",
         (CLOSE_UPS,),
     ),
     Mutation(
