@@ -13,7 +13,7 @@ from splatpainter.io import write
 from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
 from tests.support import studio_scenes
-from tests.support.studio_pages import Page, opened_page
+from tests.support.studio_pages import ROWS_IN_VIEW, Page, opened_page
 
 TOO_SMALL = """() => {
   const controls = document.querySelectorAll("button, select, input:not([hidden]), summary, [role=tab]");
@@ -28,6 +28,17 @@ TOO_SMALL = """() => {
 BOX = "(name) => { const { x, y, width, height } = document.querySelector(name).getBoundingClientRect(); " + (
     "return [x, y, width, height]; }"
 )
+
+LATE_WORDS = """(() => {
+  const Real = window.WebSocket;
+  window.WebSocket = class extends Real {
+    set onmessage(take) {
+      const late = (message) => setTimeout(() => take(message), 700);
+      super.onmessage = (message) => (typeof message.data === "string" ? late : take)(message);
+    }
+  };
+})()"""
+"""Every message but Gaussians comes later, in the order in which it was sent."""
 
 
 @pytest.fixture
@@ -147,7 +158,7 @@ def is_another(page: Page) -> bool:
     from playwright.sync_api import Error
 
     try:
-        return page.ask("!window.before && (window.studio?.viewer.count ?? 0) > 0")
+        return page.ask(f"!window.before && {ROWS_IN_VIEW}")
     except Error:
         return False
 
@@ -177,6 +188,21 @@ def test_a_lost_view_leaves_a_card_and_comes_back(opened: tuple[studio_scenes.Li
     page.settled()
     assert card.count() == 0
     page.problems = [one for one in page.problems if "Context Lost" not in one and "CONTEXT_LOST" not in one]
+
+
+@pytest.mark.slow
+def test_gaussians_that_come_long_before_the_greeting(browser: Any, tmp_path: Path) -> None:
+    with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
+        tab = browser.new_page()
+        tab.add_init_script(LATE_WORDS)
+        page = Page(browser, live.url, tab=tab)
+        assert page.pixels().std() > 0.01, "the ball is drawn"
+        page.tab.keyboard.press("b")
+        page.drag((0.45, 0.5), (0.55, 0.5))
+        page.wait("a stroke", lambda: page.names() == ["Paint"])
+        page.settled()
+        assert page.problems == []
+        tab.close()
 
 
 @pytest.mark.slow

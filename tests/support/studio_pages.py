@@ -126,6 +126,8 @@ DROP = """([name, text, kind]) => {
   document.querySelector(".app").dispatchEvent(drop);
 }"""
 
+ROWS_IN_VIEW = "(window.studio?.viewer.count > 0 && window.studio.viewer.camera !== null)"
+"""JavaScript: whether the asset is on the screen. Gaussians go out before the greeting, from which the camera is."""
 SET_RESOLUTION = """(select, resolution) => {
   if (select.value === resolution) return;
   if (![...select.options].some((option) => option.value === resolution)) select.add(new Option("Few", resolution));
@@ -202,7 +204,7 @@ class Page:
         """(Re)load and wait for the Gaussians."""
         self.tab.goto(self.url)
         self.tab.get_by_label("Pixels").evaluate(SET_RESOLUTION, self.resolution)
-        self.wait("rows", lambda: self.ask("window.studio?.viewer.count ?? 0") > 0)
+        self.wait("rows in a view", lambda: self.ask(ROWS_IN_VIEW))
 
     def set_resolution(self, resolution: str) -> None:
         """Pixels of the view per pixel of the screen, from now on."""
