@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from splatpainter.io import write
 from splatpainter.server.studio import Studio, StudioOptions
@@ -113,6 +115,35 @@ def test_nothing_lies_over_the_state_in_narrow_windows(browser: Any, tmp_path: P
             _, bar_top, _, bar_height = page.ask(BOX, f"{bar} .options-row")
             assert bar_top + bar_height <= top and room > 100
             page.tab.locator(f"{bar} .more .button").click()
+        assert page.ask(CUT_OFF) == []
+
+
+CUT_OFF = """() => [...document.querySelectorAll(".options-row")].flatMap((row) => {
+  const { left, right, bottom } = row.getBoundingClientRect();
+  const boxes = [...row.children].map((one) => [one.innerText, one.getBoundingClientRect()]);
+  return boxes.filter(([, b]) => b.top < bottom && (b.left < left - 1 || b.right > right + 1)).map(([text]) => text);
+})"""
+"""Settings in the first line of a bar of which only a part is seen."""
+COLORS = "(names) => names.map((name) => getComputedStyle(document.querySelector(name)).backgroundColor)"
+
+
+@pytest.mark.slow
+def test_a_window_at_200_per_cent_and_in_the_system_s_colours(browser: Any, tmp_path: Path) -> None:
+    """The panels pushed the header out of the window; what was chosen looked as everything else."""
+    with screen(browser, tmp_path, 640, 360, "0.25") as page:
+        tab = page.tab
+        page.settled()
+        for name in ("Brush", "History", "Light"):
+            tab.get_by_role("tab", name=name).click()
+            assert page.ask("[document.scrollingElement.scrollHeight, document.scrollingElement.scrollTop]") == [360, 0]
+            assert page.ask(BOX, "#tab-panel")[3] > 100, name
+        assert page.ask(BOX, ".header")[1] == 0 and page.ask(CUT_OFF) == []
+        tab.emulate_media(forced_colors="active")
+        pressed, other = page.ask(COLORS, [".toolbar [aria-pressed=true]", ".toolbar [aria-pressed=false]"])
+        chosen, beside = page.ask(COLORS, ["[role=tab][aria-selected=true]", "[role=tab][aria-selected=false]"])
+        assert pressed != other and chosen != beside
+        track = "getComputedStyle(document.querySelector('input[type=range]')).forcedColorAdjust"
+        assert page.ask(track) == "none", "the system would take its track away"
 
 
 @pytest.mark.slow
@@ -229,6 +260,76 @@ def test_a_click_with_the_text_tool_is_a_caret(opened: tuple[studio_scenes.Live,
     page.settled()
     keys.press("b")
     assert tab.get_by_role("button", name="Brush", exact=True).get_attribute("aria-pressed") == "true"
+
+
+def picture_file() -> bytes:
+    """A PNG of one colour."""
+    file = io.BytesIO()
+    Image.new("RGB", (40, 24), (20, 60, 200)).save(file, "png")
+    return file.getvalue()
+
+
+@pytest.mark.slow
+def test_keys_mean_the_picture_that_is_being_placed(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """Undo took strokes back while it moved nothing, Delete deleted the layer below, another tool left it there."""
+    live, page = opened
+    keys = page.tab.keyboard
+    page.drag((0.5, 0.4), (0.55, 0.4))
+    page.settled()
+    keys.press("p")
+    page.tab.get_by_role("checkbox", name="On the surface", exact=True).uncheck()
+
+    def drop_picture() -> None:
+        page.drop("stripe.png", picture_file(), "image/png")
+        page.wait("it", lambda: page.ask("window.studio.placement.value !== null"))
+
+    def x() -> float | None:
+        """Where it stands, a share of the view's width; None: nowhere."""
+        return page.ask("(() => { const p = window.studio.placement.value; return p && p.x; })()")
+
+    drop_picture()
+    start = x()
+    page.drag((0.5, 0.5), (0.6, 0.5))
+    moved = x()
+    page.drag((0.6, 0.5), (0.7, 0.5))
+    keys.press("Control+z")
+    assert x() == moved
+    keys.press("Control+Shift+z")
+    assert x() > moved
+    keys.press("Control+z")
+    keys.press("Control+z")
+    assert x() == start
+    keys.press("Control+z")
+    assert x() is None and page.state()["cursor"] == 1, "the stroke stays"
+    drop_picture()
+    box = page.tab.locator("#stage").bounding_box()
+    page.tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.tab.mouse.down()
+    keys.press("b")
+    page.tab.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + box["height"] / 2)
+    page.tab.mouse.up()
+    assert x() is None
+    keys.press("p")
+    drop_picture()
+    keys.press("Delete")
+    assert x() is None and page.names() == ["Paint"]
+    drop_picture()
+    keys.press("Enter")
+    page.wait("its layer", lambda: page.names() == ["Paint", "stripe"])
+    page.settled()
+    page.tab.get_by_role("button", name="Change stripe").click()
+    page.wait("it to be hidden", lambda: not page.state()["layers"][1]["visible"])
+    live.post("layer.delete", layer=page.state()["layers"][1]["id"])
+    page.wait("it to be deleted elsewhere", lambda: page.names() == ["Paint"])
+    keys.press("Enter")
+    page.wait("a layer of its own", lambda: page.names() == ["Paint", "stripe"])
+    page.settled()
+    page.tab.get_by_role("button", name="Change stripe").click()
+    page.wait("it to be hidden", lambda: not page.state()["layers"][1]["visible"])
+    keys.press("Delete")
+    page.wait("it to go with its layer", lambda: x() is None and page.names() == ["Paint"])
+    keys.press("Control+z")
+    page.wait("it as it was", lambda: [layer["visible"] for layer in page.state()["layers"]] == [True, True])
 
 
 @pytest.mark.slow

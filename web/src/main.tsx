@@ -5,6 +5,7 @@ import { render } from "preact";
 import "./style/base.css";
 import "./style/controls.css";
 import "./style/panels.css";
+import "./style/high-contrast.css";
 import { limits } from "./net/connection";
 import { parseFrame } from "./net/frames";
 import { followAside } from "./state/side-view";

@@ -8,7 +8,7 @@ import { blend, type Rgb } from "./colors";
 import { angleOf, type Anchor } from "./decal";
 import { drawPlacement } from "./decal-preview";
 import { limitsToSend } from "./limits";
-import { editedLayer, fromAnchor, laying, level, placement, type Placement } from "./placement";
+import { editedLayer, fromAnchor, laying, level, placedSteps, placement, standOf, type Placement } from "./placement";
 import type { Stroke } from "./stroke";
 import { surfaceArrived, surfaceOf, wrapping } from "./view-surface";
 
@@ -19,6 +19,29 @@ export async function discardPlacement(): Promise<void> {
   const edited = editedLayer.value;
   editedLayer.value = null;
   if (edited) await run("layer.set", { layer: edited.layer, visible: true, gesture: edited.gesture }, edited.name);
+}
+
+/** Take it away for good: a layer that was being changed goes, too. */
+export async function deletePlacement(): Promise<void> {
+  if (laying.value) return;
+  const edited = editedLayer.value;
+  await discardPlacement();
+  if (edited) await run("layer.delete", { layer: edited.layer }, "Deleting");
+}
+
+/** Take back its latest drag; where it was not dragged it goes. */
+export function undoPlacing(): void {
+  const p = placement.value;
+  const stand = p && placedSteps.back(standOf(p));
+  if (p && stand) placement.value = { ...p, ...stand };
+  else void discardPlacement();
+}
+
+/** What `undoPlacing` took back comes again. */
+export function redoPlacing(): void {
+  const p = placement.value;
+  const stand = p && placedSteps.again(standOf(p));
+  if (p && stand) placement.value = { ...p, ...stand };
 }
 
 /** What is kept of it with its layer. */

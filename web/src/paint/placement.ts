@@ -4,6 +4,7 @@ import { effect, signal } from "@preact/signals";
 
 import { camera, state } from "../state/store";
 import { rewindowed, type CameraJson, type Vec3 } from "../view/camera";
+import { PlacedSteps } from "./placed-steps";
 import { viewScale } from "./brush-settings";
 import { anchorAt, anchorPixel, angleOf, decalHandles, type Anchor } from "./decal";
 import { surfaceOf, viewSurface, wrapping } from "./view-surface";
@@ -35,6 +36,14 @@ export const placement = signal<Placement | null>(null);
 export const editedLayer = signal<{ layer: string; name: string; gesture: string; strokes?: boolean } | null>(null);
 /** It is being laid on the surface by the server. */
 export const laying = signal(false);
+
+/** Where it stands, without what it shows. */
+export type Stand = Pick<Placement, "x" | "y" | "scale" | "angle" | "anchor" | "unit">;
+export const standOf = ({ x, y, scale, angle, anchor, unit }: Placement): Stand => ({
+  ...{ x, y, scale, angle, anchor, unit },
+});
+/** Its drags, for undo. */
+export const placedSteps = new PlacedSteps<Stand>();
 
 /** The knob for turning stands this far above the box, pixels of the screen. */
 const KNOB_PX = 28;
@@ -97,6 +106,16 @@ function followWindow(): void {
   });
 }
 followWindow();
+
+effect(() => {
+  if (!placement.value) placedSteps.forget();
+});
+
+effect(() => {
+  // another window deleted it, or undo took it back: what is placed becomes a layer of its own
+  const [edited, now] = [editedLayer.value, state.value];
+  if (edited && now && !now.layers.some(({ id }) => id === edited.layer)) editedLayer.value = null;
+});
 
 effect(() => {
   // it goes onto the surface as soon as that is known, stays there when the view turns, and comes off it again

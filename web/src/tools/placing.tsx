@@ -7,7 +7,17 @@ import { viewScale } from "../paint/brush-settings";
 import { anchorAt, anchorPixel, angleOf, upAt, type Anchor } from "../paint/decal";
 import { decalAsked } from "../paint/decal-preview";
 import { discardPlacement } from "../paint/lay-placement";
-import { evened, fromAnchor, handles, laying, level, placement, type Placement } from "../paint/placement";
+import {
+  evened,
+  fromAnchor,
+  handles,
+  laying,
+  level,
+  placedSteps,
+  placement,
+  standOf,
+  type Placement,
+} from "../paint/placement";
 import { surfaceOf, wrapping } from "../paint/view-surface";
 import { camera } from "../state/store";
 import { Check, Slider } from "../ui/parts";
@@ -37,11 +47,15 @@ export function placing(begin: (pen: Pen) => void = () => {}, begun: () => void 
       const { corners, knob } = handles(p);
       const grabbed = ([x, y]: [number, number]) => Math.hypot(pen.x - x, pen.y - y) < grabReach();
       grip = { part: grabbed(knob) ? "turn" : corners.some(grabbed) ? "scale" : "move", from: p, pen };
+      placedSteps.note(standOf(p));
     },
     move(pen) {
-      if (grip) placement.value = grip.from.anchor ? onSurface(grip, grip.from.anchor, pen) : onView(grip, pen);
+      // a key may have taken it away, or had it laid, while it was dragged
+      if (grip && placement.value && !laying.value)
+        placement.value = grip.from.anchor ? onSurface(grip, grip.from.anchor, pen) : onView(grip, pen);
     },
     up() {
+      if (grip && placement.value === grip.from) placedSteps.dropLast(); // a click
       grip = null;
       if (beginning) begun();
       beginning = false;
@@ -50,9 +64,9 @@ export function placing(begin: (pen: Pen) => void = () => {}, begun: () => void 
       const held = grip;
       grip = null;
       beginning = false;
-      if (held)
-        placement.value = held.from; // the drag is taken back, not the picture
-      else void discardPlacement();
+      if (!held) return void discardPlacement();
+      placedSteps.dropLast();
+      if (placement.value && !laying.value) placement.value = held.from; // the drag is taken back, not the picture
     },
   };
 }

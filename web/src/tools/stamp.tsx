@@ -1,7 +1,7 @@
 /** Pictures: chosen, pasted or dropped, and laid on the view or on the surface. */
 
 import { report } from "../editor/editor";
-import { placement } from "../paint/placement";
+import { placedSteps, placement } from "../paint/placement";
 import { wrapping } from "../paint/view-surface";
 import { camera } from "../state/store";
 import { FileButton } from "../ui/parts";
@@ -24,6 +24,7 @@ export async function placePicture(file: Blob, name: string): Promise<boolean> {
     const image = await createImageBitmap(file);
     const scale = Math.min(1, (FIRST_SIZE * view.width) / image.width, (FIRST_SIZE * view.height) / image.height);
     const [x, y] = [view.width / 2, view.height / 2];
+    placedSteps.forget(); // those of another one
     placement.value = { kind: "picture", image, name: name.replace(ENDING, "") || name, x, y, scale, angle: 0 };
     return true;
   } catch {

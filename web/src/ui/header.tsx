@@ -17,6 +17,9 @@ import {
   view,
 } from "../state/store";
 import { go } from "../editor/camera-moves";
+import { redoPlacing, undoPlacing } from "../paint/lay-placement";
+import { laying, placedSteps, placement } from "../paint/placement";
+import { selectionSent } from "../paint/selected";
 import { editor, run } from "../editor/editor";
 import { setUp, shownUp } from "../state/shown-up";
 import { OPPOSITE } from "../state/up-axis";
@@ -49,13 +52,23 @@ const PROFILES: readonly (readonly [string, string])[] = [
 ];
 
 const stepAt = (at: number): string => state.value?.history[state.value.cursor + at]?.label ?? "";
-/** The stroke under the pen first, then one that is not being saved yet, then the newest step. */
+/** Something is placed and not laid yet: undo and redo are about where it stands. */
+const isPlacing = (): boolean => placement.value !== null && !laying.value;
+/**
+ * What the pen is at first, then what is placed, then a stroke that is not being saved yet, then the newest step.
+ */
 export async function undo(): Promise<void> {
-  if (penInput.takeBack() || editor.strokes.takeBackNewest()) return;
+  if (penInput.takeBack()) return;
+  if (isPlacing()) return undoPlacing();
+  if (editor.strokes.takeBackNewest()) return;
   await editor.strokes.committedAll; // one that is being saved is the newest step then
+  await selectionSent(); // and so is a lasso that was just drawn
   await run("undo", {}, `Undo: ${state.value?.selection.undo ? "selection" : stepAt(0)}`);
 }
-export const redo = () => void run("redo", {}, `Redo: ${state.value?.selection.redo ? "selection" : stepAt(1)}`);
+export function redo(): void {
+  if (isPlacing()) return redoPlacing();
+  void run("redo", {}, `Redo: ${state.value?.selection.redo ? "selection" : stepAt(1)}`);
+}
 
 /** The whole asset in the window, seen from the same side. */
 export function frameAll(): void {
@@ -135,10 +148,15 @@ export function Header() {
       <CommandButton
         icon="undo"
         command="edit.undo"
-        disabled={!canUndo.value && pendingStrokes.value === 0}
+        disabled={!canUndo.value && pendingStrokes.value === 0 && !isPlacing()}
         onClick={() => void undo()}
       />
-      <CommandButton icon="redo" command="edit.redo" disabled={!canRedo.value} onClick={redo} />
+      <CommandButton
+        icon="redo"
+        command="edit.redo"
+        disabled={isPlacing() ? !placedSteps.canAgain : !canRedo.value}
+        onClick={redo}
+      />
       <OverflowBar class="view-settings" label="View settings" more="More settings of the view" of="view">
         <Slider
           label="Lens"

@@ -5,7 +5,7 @@ import { useLayoutEffect, useRef } from "preact/hooks";
 import { pythonLog, state } from "../state/store";
 import { run } from "../editor/editor";
 import { copy } from "./feedback";
-import { Button } from "./parts";
+import { Button, reveal } from "./parts";
 
 const capital = (text: string): string => text.charAt(0).toUpperCase() + text.slice(1);
 
@@ -14,7 +14,7 @@ export function History() {
   const list = useRef<HTMLOListElement>(null);
   const current = now?.history[now.cursor]?.id;
   useLayoutEffect(() => {
-    list.current?.querySelector("[aria-current=true]")?.scrollIntoView({ block: "nearest" });
+    reveal(list.current?.closest(".tab-panel"), list.current?.querySelector("[aria-current=true]"));
   }, [current]);
   if (!now) return null;
   const jump = (cursor: number) => void (cursor !== now.cursor && run("jump", { cursor }, "History"));

@@ -4,7 +4,7 @@ import { chordOf } from "../keys/chord";
 import { commandFor } from "../keys/bindings";
 import type { CommandId } from "../keys/table";
 import { resizeBrush } from "../paint/brush-settings";
-import { commitPlacement } from "../paint/lay-placement";
+import { commitPlacement, deletePlacement } from "../paint/lay-placement";
 import { laying, placement } from "../paint/placement";
 import { tinted } from "../paint/selected";
 import { changeSelection, deselect, fillSelected, hideSelected, withSelection } from "../paint/selection";
@@ -143,7 +143,10 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "layer.below": neighbour(-1),
   "edit.undo": undo,
   "edit.redo": redo,
-  "edit.delete": () => void withSelection((count) => (count > 0 ? hideSelected(false, "Hide") : deleteLayer())),
+  "edit.delete": () =>
+    placement.value
+      ? deletePlacement() // what the handles are on, no layer beside it
+      : withSelection((count) => (count > 0 ? hideSelected(false, "Hide") : deleteLayer())),
   "edit.transform": () => void transformLayer().catch(report),
   "edit.apply": () => placement.value && void commitPlacement(),
   "edit.cancel": () => penInput.cancel(),

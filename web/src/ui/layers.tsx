@@ -17,7 +17,7 @@ import { Icon, type IconName } from "./icons";
 import { LayerMask, maskOpen, paintMask } from "./layer-mask";
 import { OptionSettings } from "./layer-options";
 import { CommandButton } from "./command-button";
-import { Button, Check, Choice, FileButton, Slider } from "./parts";
+import { Button, Check, Choice, FileButton, reveal, Slider } from "./parts";
 
 const BLENDS = [
   ["normal", "Normal"],
@@ -44,7 +44,7 @@ export function Layers() {
   };
   const list = useRef<HTMLUListElement>(null);
   useLayoutEffect(() => {
-    list.current?.querySelector(".layer.chosen")?.scrollIntoView({ block: "nearest" });
+    reveal(list.current, list.current?.querySelector(".layer.chosen"));
   }, [chosen?.id]);
   /** Of a double click: rows may have moved under the pointer until its second one. */
   const firstClicked = useRef<string | null>(null);

@@ -13,7 +13,7 @@ import { Button } from "./parts";
 const NEXT_LINE_PX = 20;
 
 const isBelow = (row: HTMLElement, one: Element): boolean =>
-  one.getBoundingClientRect().top - row.firstElementChild!.getBoundingClientRect().top > NEXT_LINE_PX;
+  one.getBoundingClientRect().top - row.getBoundingClientRect().top + row.scrollTop > NEXT_LINE_PX;
 
 interface Props {
   label: string;

@@ -10,6 +10,14 @@ export function toStage(from: Element): void {
   if (!from.closest("dialog")) document.getElementById("stage")?.focus({ preventScroll: true });
 }
 
+/** Move a list's box just so far that a row of it is seen; nothing around the box moves, as by `scrollIntoView`. */
+export function reveal(box: Element | null | undefined, row: Element | null | undefined): void {
+  if (!box || !row) return;
+  const [seen, one] = [box.getBoundingClientRect(), row.getBoundingClientRect()];
+  if (one.top < seen.top) box.scrollTop -= seen.top - one.top;
+  else if (one.bottom > seen.bottom) box.scrollTop += Math.min(one.bottom - seen.bottom, one.top - seen.top);
+}
+
 export interface ButtonProps {
   icon?: IconName;
   /** What it does. */
