@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any, Generic, TypeVar
 
@@ -24,7 +24,10 @@ class Recent(Generic[_Item]):
     ) -> None:
         """capacity: sum of sizes, by default a number of items; least, most: items that stay in any case, at all."""
         self.capacity, self.size, self.least, self.most = capacity, size, least, most
-        self.items: OrderedDict[Any, _Item] = OrderedDict()
+        self.items: dict[Any, _Item] = {}
+        """The latest last."""
+        # An item that is moved to the end is away for a moment: nobody may look then. Never held while one is made.
+        self._lock = threading.Lock()
 
     def get(self, key: Any, make: Callable[[], _Item]) -> _Item:
         """The item of the key, made now if it is not there."""
@@ -33,31 +36,38 @@ class Recent(Generic[_Item]):
 
     def find(self, key: Any, default: Any = None) -> Any:
         """The item of the key, which is then the latest; `default` where there is none."""
-        item = self.items.pop(key, _MISSING)
-        if item is _MISSING:
-            return default
-        self.items[key] = item  # type: ignore[assignment]
-        return item
+        with self._lock:
+            item = self.items.pop(key, _MISSING)
+            if item is _MISSING:
+                return default
+            self.items[key] = item  # type: ignore[assignment]
+            return item
 
     def put(self, key: Any, item: _Item) -> _Item:
         """Hold an item as the latest, in place of the one that the key may have; those used least recently go."""
-        self.items.pop(key, None)
-        self.items[key] = item
-        while len(self.items) > self.least and self._is_full():
-            self.items.popitem(last=False)
+        gone = []  # what ends with them ends when the lock is free again
+        with self._lock:
+            gone.append(self.items.pop(key, None))
+            self.items[key] = item
+            while len(self.items) > self.least and self._is_full():
+                gone.append(self.items.pop(next(iter(self.items))))
         return item
 
     def forget(self, gone: Callable[[_Item], bool]) -> None:
         """Drop items of which this is true."""
-        for key in [key for key, item in [*self.items.items()] if gone(item)]:
-            self.items.pop(key, None)
+        with self._lock:
+            dropped = [self.items.pop(key) for key, item in [*self.items.items()] if gone(item)]
+        del dropped  # not before: what ends with them may look here
 
     def clear(self) -> None:
-        self.items.clear()
+        with self._lock:
+            dropped, self.items = self.items, {}
+        del dropped
 
     def values(self) -> Iterator[_Item]:
         """The items, the latest last."""
-        return iter([*self.items.values()])
+        with self._lock:
+            return iter([*self.items.values()])
 
     def __contains__(self, key: Any) -> bool:
         return key in self.items
@@ -65,4 +75,4 @@ class Recent(Generic[_Item]):
     def _is_full(self) -> bool:
         if self.most is not None and len(self.items) > self.most:
             return True
-        return sum(map(self.size, self.values())) > self.capacity
+        return sum(map(self.size, self.items.values())) > self.capacity
