@@ -205,6 +205,25 @@ def test_the_sliders_are_those_of_the_chosen_adjustment(
         return [number.input_value() for number in numbers]
 
     plain = page.pixels().mean()
+    write_number(numbers[0], "-1")
+    write_number(numbers[1], "0.5")
+    page.tab.keyboard.press("Control+z")
+    assert values() == ["-1.00", "0.00"], "what is not applied yet goes before what is"
+    page.tab.keyboard.press("Control+z")
+    page.tab.keyboard.press("Control+Shift+z")
+    assert values() == ["-1.00", "0.00"] and page.state()["cursor"] == 1
+    thumb = page.tab.get_by_role("slider", name="Exposure").bounding_box()
+    page.tab.mouse.move(thumb["x"] + thumb["width"] / 5, thumb["y"] + thumb["height"] / 2)
+    page.tab.mouse.down()
+    held = values()
+    page.tab.keyboard.press("Control+z")
+    assert values() == held and held[0] != "-1.00", "a slider that is held"
+    page.tab.mouse.up()
+    live.post("layer.new", name="above")
+    page.wait("another layer", lambda: page.names() == ["below", "above"])
+    page.tab.keyboard.press("Control+z")
+    page.wait("what was done after it to go first", lambda: page.names() == ["below"])
+    assert values() == held
     write_number(numbers[0], "-1.5")
     page.tab.get_by_role("button", name="Apply as layer").click()
     page.wait("its layer", lambda: page.names() == ["below", "Adjustment"])

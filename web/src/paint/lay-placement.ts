@@ -4,6 +4,7 @@ import { editor, report, run } from "../editor/editor";
 import type { Placed } from "../messages";
 import { sendBlob } from "../net/blobs";
 import { brush, camera, color, limits, method, paintMode, saving, selectedLayer, text, toast } from "../state/store";
+import { drafts } from "../state/draft-steps";
 import { blend, type Rgb } from "./colors";
 import { angleOf, type Anchor } from "./decal";
 import { drawPlacement } from "./decal-preview";
@@ -30,7 +31,7 @@ export async function deletePlacement(): Promise<void> {
 }
 
 /** Take back its latest drag; where it was not dragged it goes. */
-export function undoPlacing(): void {
+function undoPlacing(): void {
   const p = placement.value;
   const stand = p && placedSteps.back(standOf(p));
   if (p && stand) placement.value = { ...p, ...stand };
@@ -38,11 +39,19 @@ export function undoPlacing(): void {
 }
 
 /** What `undoPlacing` took back comes again. */
-export function redoPlacing(): void {
+function redoPlacing(): void {
   const p = placement.value;
   const stand = p && placedSteps.again(standOf(p));
   if (p && stand) placement.value = { ...p, ...stand };
 }
+
+const isPlacing = (): boolean => placement.value !== null && !laying.value;
+drafts.push({
+  canBack: isPlacing,
+  back: undoPlacing,
+  canAgain: () => isPlacing() && placedSteps.canAgain,
+  again: redoPlacing,
+});
 
 /** What is kept of it with its layer. */
 async function placedInfo(p: Placement): Promise<Placed> {

@@ -4,7 +4,7 @@ import { effect, signal } from "@preact/signals";
 
 import { camera, state } from "../state/store";
 import { rewindowed, type CameraJson, type Vec3 } from "../view/camera";
-import { PlacedSteps } from "./placed-steps";
+import { DraftSteps } from "../state/draft-steps";
 import { viewScale } from "./brush-settings";
 import { anchorAt, anchorPixel, angleOf, decalHandles, type Anchor } from "./decal";
 import { surfaceOf, viewSurface, wrapping } from "./view-surface";
@@ -43,7 +43,7 @@ export const standOf = ({ x, y, scale, angle, anchor, unit }: Placement): Stand 
   ...{ x, y, scale, angle, anchor, unit },
 });
 /** Its drags, for undo. */
-export const placedSteps = new PlacedSteps<Stand>();
+export const placedSteps = new DraftSteps<Stand>();
 
 /** The knob for turning stands this far above the box, pixels of the screen. */
 const KNOB_PX = 28;

@@ -10,8 +10,9 @@ import { type ColorTransfer, type GradeSliders, type LayerInfo, RANGES } from ".
 import { sendBlob } from "../net/blobs";
 import { selectedCount } from "../paint/selected";
 import { dragged, shownLayers } from "../state/pending-layers";
-import { readOnly, selectedLayer } from "../state/store";
+import { pendingStrokes, readOnly, selectedLayer, state } from "../state/store";
 import { editor, report, run } from "../editor/editor";
+import { drafts, DraftSteps } from "../state/draft-steps";
 import { NewestOnly } from "../state/newest-only";
 import { Curve } from "./curve";
 import { Button, FileButton, Percent, Slider } from "./parts";
@@ -44,6 +45,24 @@ const sliders = signal<Full>(NEUTRAL);
 const transfer = signal<{ colors: ColorTransfer; name: string } | null>(null);
 const hue = signal(0);
 
+type DraftLook = { sliders: Full; transfer: { colors: ColorTransfer; name: string } | null };
+const draftLook = (): DraftLook => ({ sliders: sliders.value, transfer: transfer.value });
+/** Changes of the layer to come, for undo. */
+const draftSteps = new DraftSteps<DraftLook>();
+/** After what they were made: what was done since is taken back before them. */
+const draftAt = signal("");
+/** The layer to come is about to be changed. */
+function noteDraft(): void {
+  if (!gesture.noted) draftSteps.note(draftLook());
+  gesture.noted = true;
+  draftAt.value = latest();
+}
+/** Names the newest step of the history, and of the selection. */
+function latest(): string {
+  const now = state.value;
+  return now ? `${now.project.id} ${now.history[now.cursor]?.id} ${now.selection.undo}` : "";
+}
+
 /** The chosen layer whose sliders these are; null: they are of a layer to come. */
 const gradeLayer = computed<LayerInfo | null>(() => {
   if (transfer.value) return null;
@@ -57,9 +76,14 @@ const values = computed<Full>(() => {
   const names = Object.keys(NEUTRAL) as (keyof Full)[];
   return Object.fromEntries(names.map((name) => [name, layer.parameters[name] ?? NEUTRAL[name]])) as Full;
 });
-/** What a press or a key begins on the sliders of a layer is a step of its own. */
-const gesture: { layer: string; send: ReturnType<typeof dragged> | null } = { layer: "", send: null };
-const beginGesture = (): void => void (gesture.send = null);
+/** What a press or a key begins on the sliders is a step of its own. noted: it is one of the layer to come. */
+const gesture: { layer: string; send: ReturnType<typeof dragged> | null; noted: boolean } = {
+  ...{ layer: "", send: null, noted: false },
+};
+function beginGesture(): void {
+  gesture.send = null;
+  gesture.noted = false;
+}
 
 const plain = (values: Full) => JSON.stringify(values) === JSON.stringify(NEUTRAL);
 
@@ -89,13 +113,31 @@ function change(part: Partial<Full>): void {
     void gesture.send({ parameters: { ...values.value, ...part } });
     return;
   }
+  noteDraft();
   sliders.value = { ...sliders.value, ...part };
   preview();
 }
 
+function showDraft(next: DraftLook | null): void {
+  if (!next) return resetDraft();
+  sliders.value = next.sliders;
+  transfer.value = next.transfer;
+  preview();
+}
+
+const isNeutral = (): boolean => plain(sliders.value) && !transfer.value;
+const isNewest = (): boolean => gradeLayer.value === null && draftAt.value === latest() && pendingStrokes.value === 0;
+drafts.push({
+  canBack: () => !isNeutral() && isNewest(),
+  back: () => showDraft(draftSteps.back(draftLook())),
+  canAgain: () => draftSteps.canAgain && isNewest(),
+  again: () => showDraft(draftSteps.again(draftLook())),
+});
+
 /** Leave the layer to come. */
 function resetDraft(): void {
-  if (plain(sliders.value) && !transfer.value) return;
+  draftSteps.forget();
+  if (isNeutral()) return;
   sliders.value = NEUTRAL;
   transfer.value = null;
   preview();
@@ -106,6 +148,8 @@ const anotherAdjustment = (): void => void (selectedLayer.value = null);
 
 /** Colours from elsewhere take the place of the sliders, for a layer of its own. */
 function take(colors: ColorTransfer, name: string): void {
+  beginGesture();
+  noteDraft();
   sliders.value = { ...NEUTRAL, strength: sliders.value.strength };
   transfer.value = { colors, name };
   preview();
@@ -127,6 +171,7 @@ async function commit(): Promise<void> {
   const newest = sliders.value;
   sliders.value = NEUTRAL;
   transfer.value = null;
+  draftSteps.forget();
   beginGesture();
   selectedLayer.value = answer.layer.id;
   if (!given && newest !== sent) change(newest);

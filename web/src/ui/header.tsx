@@ -17,10 +17,9 @@ import {
   view,
 } from "../state/store";
 import { go } from "../editor/camera-moves";
-import { redoPlacing, undoPlacing } from "../paint/lay-placement";
-import { laying, placedSteps, placement } from "../paint/placement";
 import { selectionSent } from "../paint/selected";
 import { editor, run } from "../editor/editor";
+import { drafts } from "../state/draft-steps";
 import { setUp, shownUp } from "../state/shown-up";
 import { OPPOSITE } from "../state/up-axis";
 import { frame, zoomLens, type Vec3 } from "../view/camera";
@@ -52,21 +51,19 @@ const PROFILES: readonly (readonly [string, string])[] = [
 ];
 
 const stepAt = (at: number): string => state.value?.history[state.value.cursor + at]?.label ?? "";
-/** Something is placed and not laid yet: undo and redo are about where it stands. */
-const isPlacing = (): boolean => placement.value !== null && !laying.value;
-/**
- * What the pen is at first, then what is placed, then a stroke that is not being saved yet, then the newest step.
- */
+/** What the pen is at first, then what is not applied yet, then a stroke that is not being saved yet, then the newest step. */
 export async function undo(): Promise<void> {
   if (penInput.takeBack()) return;
-  if (isPlacing()) return undoPlacing();
+  const draft = drafts.find((one) => one.canBack());
+  if (draft) return draft.back();
   if (editor.strokes.takeBackNewest()) return;
   await editor.strokes.committedAll; // one that is being saved is the newest step then
   await selectionSent(); // and so is a lasso that was just drawn
   await run("undo", {}, `Undo: ${state.value?.selection.undo ? "selection" : stepAt(0)}`);
 }
 export function redo(): void {
-  if (isPlacing()) return redoPlacing();
+  const draft = drafts.find((one) => one.canAgain());
+  if (draft) return draft.again();
   void run("redo", {}, `Redo: ${state.value?.selection.redo ? "selection" : stepAt(1)}`);
 }
 
@@ -148,13 +145,13 @@ export function Header() {
       <CommandButton
         icon="undo"
         command="edit.undo"
-        disabled={!canUndo.value && pendingStrokes.value === 0 && !isPlacing()}
+        disabled={!canUndo.value && pendingStrokes.value === 0 && !drafts.some((one) => one.canBack())}
         onClick={() => void undo()}
       />
       <CommandButton
         icon="redo"
         command="edit.redo"
-        disabled={isPlacing() ? !placedSteps.canAgain : !canRedo.value}
+        disabled={!canRedo.value && !drafts.some((one) => one.canAgain())}
         onClick={redo}
       />
       <OverflowBar class="view-settings" label="View settings" more="More settings of the view" of="view">

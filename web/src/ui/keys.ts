@@ -88,6 +88,21 @@ function shift(by: number): () => void {
   });
 }
 
+/** Whether a slider or a handle is held: what it changes becomes a step when it is let go. */
+const held = { slides: false };
+const SLIDES = "input[type=range], [role=slider], svg";
+
+function followSlides(): void {
+  window.addEventListener(
+    "pointerdown",
+    (event) => (held.slides = !!(event.target as Element).closest?.(SLIDES)),
+    true,
+  );
+  for (const name of ["pointerup", "pointercancel"]) window.addEventListener(name, () => (held.slides = false), true);
+  window.addEventListener("blur", () => (held.slides = false)); // of the window, not of what is in it
+  window.addEventListener("pointermove", (event) => (held.slides &&= event.buttons > 0), true);
+}
+
 const deleteLayer = onLayer((layer) => run("layer.delete", { layer }, "Deleting"));
 
 const ACTIONS: Record<CommandId, () => unknown> = {
@@ -141,8 +156,9 @@ const ACTIONS: Record<CommandId, () => unknown> = {
   "layer.lower": shift(-1),
   "layer.above": neighbour(1),
   "layer.below": neighbour(-1),
-  "edit.undo": undo,
-  "edit.redo": redo,
+  // what is dragged outside of the view ends first, or it would go on from something that is no more
+  "edit.undo": () => held.slides || undo(),
+  "edit.redo": () => held.slides || redo(),
   "edit.delete": () =>
     placement.value
       ? deletePlacement() // what the handles are on, no layer beside it
@@ -196,6 +212,7 @@ function writesWords(event: KeyboardEvent): boolean {
 }
 
 export function listen(): void {
+  followSlides();
   window.addEventListener("keydown", (event) => {
     if (writing(event.target) || document.querySelector("dialog[open]")) return;
     if (writesWords(event)) return words.focus(false); // the key itself goes there then

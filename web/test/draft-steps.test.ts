@@ -1,10 +1,10 @@
 import { describe, expect, it } from "vitest";
 
-import { PlacedSteps } from "../src/paint/placed-steps";
+import { DraftSteps } from "../src/state/draft-steps";
 
-describe("drags of what is placed", () => {
+describe("changes that are not applied yet", () => {
   it("go back one after the other, and come again", () => {
-    const steps = new PlacedSteps<string>();
+    const steps = new DraftSteps<string>();
     steps.note("first");
     steps.note("second"); // it stands at a third place now
     expect(steps.back("third")).toBe("second");
@@ -17,7 +17,7 @@ describe("drags of what is placed", () => {
   });
 
   it("do not come again after another drag", () => {
-    const steps = new PlacedSteps<number>();
+    const steps = new DraftSteps<number>();
     steps.note(0);
     expect(steps.back(1)).toBe(0);
     expect(steps.canAgain).toBe(true);
@@ -28,7 +28,7 @@ describe("drags of what is placed", () => {
   });
 
   it("leave a click and a drag that was taken back out", () => {
-    const steps = new PlacedSteps<number>();
+    const steps = new DraftSteps<number>();
     steps.note(0);
     steps.note(1);
     steps.dropLast();
