@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from splatpainter.order_statistics import distinct, median, quantile, without
+from splatpainter.order_statistics import MAX_EXACT, distinct, groups, median, quantile, row_keys, without
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -36,6 +36,19 @@ def test_distinct_values_are_those_of_numpy(count: int) -> None:
     for one, two in ((values, excluded), (excluded, values[:0]), (values, values)):
         assert np.array_equal(distinct(one), np.unique(one)) and distinct(one).dtype == one.dtype
         assert np.array_equal(without(one, two), np.setdiff1d(one, two))
+
+
+@pytest.mark.parametrize("largest", [2, 1 << 20, 1 << 40, MAX_EXACT - 1])
+@pytest.mark.parametrize("dtype", [np.int64, np.float64])
+def test_keys_of_rows_group_them_as_numpy_does(largest: int, dtype: type) -> None:
+    rng = np.random.default_rng(0)
+    rows = rng.integers(-largest, largest, (60, 5), endpoint=True)[rng.integers(0, 60, 200)].astype(dtype)
+    strays = rows.copy()
+    strays[::7, 1] *= 1 << 10  # beyond what a float64 tells apart, or, of few bits, far from the others
+    for values in (rows, strays, rows[:1], rows[:0], rows[:, :1]):
+        expected = np.unique(values, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:]
+        for result, of_numpy in zip(groups(row_keys(values)), expected, strict=True):
+            assert np.array_equal(result, of_numpy.ravel())
 
 
 def test_one_nan_makes_its_column_nan() -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from splatpainter.voxels import neighbours
 from splatpainter.voxels.neighbours import near_pairs
 
 
-def test_pairs_are_all_that_are_near_each_once() -> None:
+def test_pairs_are_all_that_are_near_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neighbours, "PAIRS_AT_ONCE", 100)
     points = np.random.default_rng(0).uniform(-1, 1, (300, 3)) * (1, 1, 0.2)
     one, two = near_pairs(points, 0.3)
     distance = np.linalg.norm(points[:, None] - points, axis=2)

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatpainter.array_types import Bools, Ids
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.color import base_color, oklab, to_display
 from splatpainter.holes.border import cell_of
 from splatpainter.holes.support import Ground, below, support_of
 from splatpainter.kernels import portable
+from splatpainter.order_statistics import groups, row_keys
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
@@ -138,10 +139,12 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     ids = np.flatnonzero(visible & ((away < reach) | selected))
     # Pieces, not Gaussians: tens of thousands of nodes whatever the asset has.
     cell = cell_of(splats, seeds)
-    fine = _Pieces.of(splats, ids, BODY.fine_cells * cell, BODY.color_steps)
-    while len(fine.counts) > BODY.max_pieces:
+    facts = _Facts.of(splats, ids)
+    parted = facts.groups(BODY.fine_cells * cell, BODY.color_steps)
+    while len(parted[1]) > BODY.max_pieces:
         cell *= BODY.coarser
-        fine = _Pieces.of(splats, ids, BODY.fine_cells * cell, BODY.color_steps)
+        parted = facts.groups(BODY.fine_cells * cell, BODY.color_steps)
+    fine = _Pieces.of(facts, *parted)
     pairs = _near(means[ids], fine, cell)
     # Small pieces where neighbours are alike; where single Gaussians say little of a surface, larger ones average them.
     pieces, edge = fine, BODY.fine_cells * cell
@@ -149,7 +152,7 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     chosen = pieces.mean(selected[ids].astype(np.float64))
     if pieces.typical_link(one, two, chosen > 0.5) < BODY.smooth_link:
         edge = min(BODY.coarse_cells * cell, max(edge, radius / BODY.pieces_across))
-        pieces = _Pieces.of(splats, ids, edge, 1)
+        pieces = _Pieces.of(facts, *facts.groups(edge, 1))
         one, two = pieces.touching(pairs)
         chosen = pieces.mean(selected[ids].astype(np.float64))
     links, evenness = pieces.links(one, two, chosen > 0.5)
@@ -258,6 +261,39 @@ def body_or_selection(splats: Splats, selected: np.ndarray) -> tuple[np.ndarray,
 
 
 @dataclass(frozen=True)
+class _Facts:
+    """What tells pieces of surface apart, of G Gaussians."""
+
+    means: Floats
+    """[G, 3] float64."""
+    outer: Floats
+    """[G, 6] n n^T, as the normals of _Pieces."""
+    facing: Ids
+    """[G] axis that each normal is nearest to."""
+    colors: Floats
+    """[G, 3] on the display, 0..1."""
+
+    @staticmethod
+    def of(splats: Splats, ids: np.ndarray) -> _Facts:
+        means, scales = splats.means[ids].astype(np.float64), splats.scales[ids]
+        axes = quat_to_matrix(splats.quats[ids].astype(np.float64))
+        x, y, z = axes[np.arange(len(ids)), :, scales.argmin(1)].T
+        root = np.sqrt(2)
+        # Normals have no sign, so their outer products are averaged; six numbers hold them.
+        outer = np.stack([x * x, y * y, z * z, root * x * y, root * x * z, root * y * z], 1)
+        colors = to_display(np.clip(base_color(splats.sh[ids]), 0, 1), splats.color_space)
+        return _Facts(means, outer, np.abs(np.stack([x, y, z], 1)).argmax(1), colors)
+
+    def groups(self, edge: float, color_steps: int) -> tuple[Ids, np.ndarray]:
+        """([G] int64 piece of each Gaussian, [P] how many each piece has). edge: of the cubes, world units;
+        color_steps: parts of a channel's range, of which a piece has one."""
+        step = np.minimum((self.colors * color_steps).astype(np.int64), color_steps - 1)
+        cells = np.floor((self.means - self.means.min(0)) / edge).astype(np.int64)
+        # One piece is one place, one direction and one colour, so a corner or a colour edge never lies within one.
+        return groups(row_keys(np.concatenate([cells, self.facing[:, None], step], 1)))[1:]
+
+
+@dataclass(frozen=True)
 class _Pieces:
     """P pieces of surface of G Gaussians."""
 
@@ -271,24 +307,10 @@ class _Pieces:
     """[P, 3] OKLab."""
 
     @staticmethod
-    def of(splats: Splats, ids: np.ndarray, edge: float, color_steps: int) -> _Pieces:
-        """edge: of the cubes, world units; color_steps: parts of a channel's range, of which a piece has one."""
-        means, scales = splats.means[ids].astype(np.float64), splats.scales[ids]
-        axes = quat_to_matrix(splats.quats[ids].astype(np.float64))
-        x, y, z = axes[np.arange(len(ids)), :, scales.argmin(1)].T
-        root = np.sqrt(2)
-        # Normals have no sign, so their outer products are averaged; six numbers hold them.
-        outer = np.stack([x * x, y * y, z * z, root * x * y, root * x * z, root * y * z], 1)
-        colors = to_display(np.clip(base_color(splats.sh[ids]), 0, 1), splats.color_space)
-        step = np.minimum((colors * color_steps).astype(np.int64), color_steps - 1)
-        cells = np.floor((means - means.min(0)) / edge).astype(np.int64)
-        facing = np.abs(np.stack([x, y, z], 1)).argmax(1)
-        # One piece is one place, one direction and one colour, so a corner or a colour edge never lies within one.
-        keys = np.concatenate([cells, facing[:, None], step], 1)
-        _, piece, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        piece = piece.ravel()
+    def of(facts: _Facts, piece: Ids, counts: np.ndarray) -> _Pieces:
+        """piece, counts: as the attributes."""
         empty = _Pieces(piece, counts, np.zeros(0), np.zeros(0))
-        return _Pieces(piece, counts, empty.mean(outer), oklab(empty.mean(colors).astype(np.float32)))
+        return _Pieces(piece, counts, empty.mean(facts.outer), oklab(empty.mean(facts.colors).astype(np.float32)))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """[P] or [P, C] of [G] or [G, C]."""
@@ -298,9 +320,10 @@ class _Pieces:
 
     def touching(self, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """([E] int64, [E] int64) pieces that hold both Gaussians of a pair, each two once."""
-        one, two = (self.piece[of] for of in pairs)
-        low, high = np.minimum(one, two), np.maximum(one, two)
-        keys = np.unique((low * np.int64(len(self.counts)) + high)[low != high])
+        one, two = (self.piece.take(of) for of in pairs)
+        apart = np.flatnonzero(one != two)  # most are of one piece
+        one, two = one.take(apart), two.take(apart)
+        keys = np.unique(np.minimum(one, two) * np.int64(len(self.counts)) + np.maximum(one, two))
         return keys // len(self.counts), keys % len(self.counts)
 
     def differences(self, one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -337,7 +360,7 @@ def _near(means: np.ndarray, fine: _Pieces, cell: float) -> tuple[np.ndarray, np
     piece. cell: distance between neighbours."""
     cubes = np.floor((means - np.median(means, axis=0)) / (BODY.same_place_cells * cell))
     # A clump of thousands must not have millions of pairs.
-    _, first = np.unique(np.concatenate([cubes, fine.piece[:, None]], 1), axis=0, return_index=True)
+    first = groups(row_keys(np.concatenate([cubes, fine.piece[:, None]], 1)))[0]
     one, two = near_pairs(means[first], BODY.touch_cells * cell)
     return first[one], first[two]
 

@@ -18,6 +18,7 @@ import numpy as np
 from splatpainter.color import luminance
 from splatpainter.kernels import portable
 from splatpainter.lights.light_prior import SkyStatistics, upright, usual_light
+from splatpainter.order_statistics import groups, row_keys
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere, row_norm
 
@@ -131,8 +132,7 @@ def field_witnesses(light: np.ndarray, transfer: np.ndarray, points: np.ndarray)
         np.floor(portable.log(bright + 0.01) / FIELD.brightness + 0.3)[:, None],
         ways[:, None],
     ]
-    _, member, counts = np.unique(np.concatenate(kinds, 1), axis=0, return_inverse=True, return_counts=True)
-    member = member.reshape(-1)
+    _, member, counts = groups(row_keys(np.concatenate(kinds, 1)))
     chosen = np.argsort(-counts, kind="stable")[: FIELD.count]
     chosen = chosen[counts[chosen] >= 3]
     if len(chosen) < FIELD.least:

@@ -24,6 +24,7 @@ from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.albedo_field import FieldWitnesses, both_readings, field_witnesses
 from splatpainter.lights.light_cast import cast
 from splatpainter.lights.light_prior import likely_light, likely_ways
+from splatpainter.order_statistics import groups, row_keys
 from splatpainter.splats import SH_C0
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import fibonacci_sphere
@@ -252,7 +253,7 @@ def _observations(
     if by_brightness:
         level = portable.log(luminance(albedo) + 0.01) / LIMITS.patch_brightness
         kinds.append(np.floor(level + 0.37)[:, None])  # off the round values, near which many materials lie
-    patches = np.unique(np.concatenate(kinds, 1), axis=0, return_inverse=True)[1].reshape(-1)
+    _, patches, _ = groups(row_keys(np.concatenate(kinds, 1)))
     vectors = np.stack([-transfer[:, 3], -transfer[:, 1], transfer[:, 2]], 1)  # band 1 is the direction light is seen
     bins = portable.matmul(vectors, fibonacci_sphere(LIMITS.normal_bins).T).argmax(1)
     # Gaussians that face one way in a patch are one observation: dense places do not outvote the rest.

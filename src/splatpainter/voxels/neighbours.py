@@ -6,15 +6,19 @@ MAX_CELLS cubes from the middle of the points counts as lying at that distance: 
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run
+from splatpainter.kernels.parallel import each, run
 
 CELL_BITS = 20
 """Bits of a cube's index along each axis."""
 MAX_CELLS = 1 << (CELL_BITS - 2)
 """Cubes to either side of the median point."""
+PAIRS_AT_ONCE = 1 << 17
+"""Pairs of points that are judged in one piece: some arrays of 1 MiB."""
 
 
 def nearest_within(points: np.ndarray, queries: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -63,20 +67,40 @@ def near_pairs(points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarra
     if not len(points):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     keys, order = _sorted(_cells(points, np.median(points, axis=0), radius))
-    first, second = [], []
-    for x, y, z in np.ndindex(3, 3, 3):
-        # Where the cube one step on begins and ends among the sorted points.
-        step = ((x - 1) << 2 * CELL_BITS) + ((y - 1) << CELL_BITS) + z - 1
-        begin, end = (np.searchsorted(keys, keys + step, side) for side in ("left", "right"))
-        count = end - begin
-        one = np.repeat(np.arange(len(keys)), count)
-        two = np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
-        keep = one < two
-        first.append(order[one[keep]])
-        second.append(order[two[keep]])
-    one, two = np.concatenate(first), np.concatenate(second)
-    near = ((points[one] - points[two]) ** 2).sum(1) <= radius**2
-    return one[near], two[near]
+    columns = [np.ascontiguousarray(column) for column in points[order].T]
+    # The cubes that hold points, and where each one's begin among the sorted points.
+    begins = np.flatnonzero(np.append(True, keys[1:] != keys[:-1]))
+    cubes, ends = keys[begins], np.append(begins[1:], len(keys))
+    cube = np.repeat(np.arange(len(cubes)), ends - begins)
+
+    def of_step(step: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        # Of each point, where the cube one step on begins and ends.
+        at = np.searchsorted(cubes, cubes + step)
+        there = at < len(cubes)
+        there[there] = cubes[at[there]] == cubes[there] + step
+        at[~there] = 0
+        # In its own cube a point is a pair with those after it.
+        first = begins.take(at).take(cube) if step else np.arange(1, len(keys) + 1)
+        count = np.where(there.take(cube), ends.take(at).take(cube) - first, 0)
+        total = np.append(0, np.cumsum(count))
+        # In blocks that stay in the processor's cache: most pairs of cubes' points are too far apart.
+        edges = np.unique(np.append(np.searchsorted(total, np.arange(0, total[-1], PAIRS_AT_ONCE)), len(keys)))
+        close = []
+        for begin, end in itertools.pairwise(edges.tolist()):
+            counts = count[begin:end]
+            one = np.repeat(np.arange(begin, end), counts)
+            two = np.arange(total[begin], total[end]) - np.repeat(total[begin:end] - first[begin:end], counts)
+            x, y, z = (np.square(column.take(one) - column.take(two)) for column in columns)
+            near = np.flatnonzero(x + y + z <= radius**2)
+            close.append((order[one.take(near)], order[two.take(near)]))
+        return close
+
+    # Half of the neighbours: from a cube with a smaller number the pair was seen before.
+    steps = [((x - 1) << 2 * CELL_BITS) + ((y - 1) << CELL_BITS) + z - 1 for x, y, z in np.ndindex(3, 3, 3)]
+    close = [pair for of in each(of_step, [step for step in steps if step >= 0]) for pair in of]
+    one, two = zip(*close, strict=True) if close else ((), ())
+    none = np.zeros(0, np.int64)
+    return np.concatenate([none, *one]), np.concatenate([none, *two])
 
 
 def _cells(points: np.ndarray, middle: np.ndarray, size: float) -> np.ndarray:

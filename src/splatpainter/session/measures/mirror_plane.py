@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.order_statistics import groups, row_keys
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -122,10 +123,9 @@ def _thinned(splats: Splats) -> tuple[np.ndarray, float]:
     size = max(float((high - low).max()), 1e-12) / 64
     while True:
         cells = np.floor((means - low) / size).astype(np.int64)
-        _, group = np.unique(cells, axis=0, return_inverse=True)
-        count = np.bincount(group.ravel())
+        _, group, count = groups(row_keys(cells))
         if len(count) <= MAX_POINTS:
-            sums = [np.bincount(group.ravel(), means[:, axis]) for axis in range(3)]
+            sums = [np.bincount(group, means[:, axis]) for axis in range(3)]
             return np.stack(sums, 1) / count[:, None], size
         size *= 1.15
 
