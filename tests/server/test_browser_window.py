@@ -289,6 +289,13 @@ def test_keys_mean_the_picture_that_is_being_placed(opened: tuple[studio_scenes.
 
     drop_picture()
     start = x()
+    keys.press("ArrowRight")
+    near = x()
+    keys.press("Shift+ArrowRight")
+    assert x() - near == pytest.approx(10 * (near - start)) and near > start
+    keys.press("Control+z")
+    keys.press("Control+z")
+    assert x() == start
     page.drag((0.5, 0.5), (0.6, 0.5))
     moved = x()
     page.drag((0.6, 0.5), (0.7, 0.5))
@@ -330,6 +337,12 @@ def test_keys_mean_the_picture_that_is_being_placed(opened: tuple[studio_scenes.
     page.wait("it to go with its layer", lambda: x() is None and page.names() == ["Paint"])
     keys.press("Control+z")
     page.wait("it as it was", lambda: [layer["visible"] for layer in page.state()["layers"]] == [True, True])
+    page.tab.locator(".layer-name").first.click()
+    page.tab.get_by_role("textbox", name="Opacity, number").last.click()
+    keys.type("40")
+    keys.press("Control+s")  # the browser would save its page
+    page.wait("the dialogue", lambda: page.ask("document.activeElement.name") == "format")
+    page.wait("the opacity", lambda: page.state()["layers"][1]["opacity"] == 0.4)
 
 
 @pytest.mark.slow

@@ -99,6 +99,7 @@ export const GESTURES: readonly (readonly [Group, string, string])[] = [
   ["Tools", "Pen's other end", "Eraser"],
   ["Colour and brush", "1 to 9, 0", "Opacity 10 % to 100 %; two digits quickly: 45 %"],
   ["Colour and brush", "Shift-1 to 0", "Flow"],
+  ["Edit", "Arrows, with Shift", "Move the text or picture that is placed by 1 or 10 pixels"],
   ["View", "Space-drag, Alt-drag", "Turn about the point under the cursor"],
   ["View", "Right drag", "Turn in any tool"],
   ["View", "Middle or Shift-drag", "Slide (Shift: with Space or in the turn tool)"],

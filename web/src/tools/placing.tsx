@@ -71,6 +71,17 @@ export function placing(begin: (pen: Pen) => void = () => {}, begun: () => void 
   };
 }
 
+/** Move what is placed by pixels of the screen; `again`: the key is held, and all of it is one step. */
+export function nudge(right: number, down: number, again: boolean): void {
+  const p = placement.value;
+  if (!p || laying.value) return;
+  const [x, y] = [right * viewScale.value, down * viewScale.value];
+  const at = (x: number, y: number): Pen => ({ x, y, pressure: 1, shift: false, alt: false });
+  const grip: Grip = { part: "move", from: p, pen: at(0, 0) };
+  if (!again) placedSteps.note(standOf(p));
+  placement.value = p.anchor ? onSurface(grip, p.anchor, at(x, y)) : onView(grip, at(x, y));
+}
+
 /** Moved, scaled or turned on the view. */
 function onView({ part, from, pen: first }: Grip, pen: Pen): Placement {
   if (part === "move") return { ...from, x: from.x + pen.x - first.x, y: from.y + pen.y - first.y };

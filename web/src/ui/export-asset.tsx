@@ -209,6 +209,7 @@ export function ExportAsset() {
               value={one}
               checked={one === ending}
               onChange={() => (chosen.value = one)}
+              onKeyDown={(event) => event.key === "Enter" && !event.repeat && void give()}
             />
             <b>{WORDS[one]?.[0] ?? one}</b>
             <span class="quiet">{WORDS[one]?.[1] ?? ""}</span>

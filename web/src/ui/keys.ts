@@ -15,6 +15,7 @@ import { glide, homePose } from "../editor/camera-moves";
 import { report, run } from "../editor/editor";
 import { ALL_TOOLS, chooseTool, inHand } from "../tools";
 import { focusAtCursor, gestures, penInput, spaceHeld, turnBy } from "../tools/pen-input";
+import { nudge } from "../tools/placing";
 import { transformLayer } from "../tools/replacing";
 import type { ToolCommand } from "../tools/tool";
 import { lookAlong, type Vec3 } from "../view/camera";
@@ -191,6 +192,15 @@ function digitEntry(): (digit: number, flow: boolean, time: number) => void {
 }
 const setByDigit = digitEntry();
 
+/** Pixels of the screen by which an arrow moves what is placed; with Shift. */
+const NUDGES_PX = [1, 10] as const;
+const ARROWS: Readonly<Record<string, readonly [number, number]>> = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, -1],
+  ArrowDown: [0, 1],
+};
+
 /** Whether the key belongs to a field that is being written in. */
 function writing(target: EventTarget | null): boolean {
   const element = target as HTMLElement | null;
@@ -211,8 +221,20 @@ function writesWords(event: KeyboardEvent): boolean {
   return /^(\p{L}|Backspace|Delete)$/u.test(event.key);
 }
 
+/** Saving and opening are the studio's in a field, too: the browser would save its page. What was written there counts. */
+function saveFromFields(event: KeyboardEvent): void {
+  if (!writing(event.target) || !(event.ctrlKey || event.metaKey) || document.querySelector("dialog[open]")) return;
+  const command = commandFor(chordOf(event));
+  if (!command?.startsWith("file.")) return;
+  (event.target as HTMLElement).blur();
+  event.preventDefault();
+  event.stopPropagation();
+  ACTIONS[command]();
+}
+
 export function listen(): void {
   followSlides();
+  window.addEventListener("keydown", saveFromFields, true);
   window.addEventListener("keydown", (event) => {
     if (writing(event.target) || document.querySelector("dialog[open]")) return;
     if (writesWords(event)) return words.focus(false); // the key itself goes there then
@@ -227,6 +249,13 @@ export function listen(): void {
       return event.preventDefault();
     }
     if (/^(Arrow\w+|Enter|NumEnter)$/.test(chord) && onButton) return;
+    const arrow = /^(Shift-)?(Arrow\w+)$/.exec(chord);
+    if (arrow && placement.value) {
+      const [right, down] = ARROWS[arrow[2]];
+      const by = NUDGES_PX[arrow[1] ? 1 : 0];
+      nudge(right * by, down * by, event.repeat);
+      return event.preventDefault();
+    }
     const digit = /^(Shift-)?([0-9])$/.exec(chord);
     const command = commandFor(chord);
     if (digit && !command) setByDigit(Number(digit[2]), digit[1] !== undefined, event.timeStamp);

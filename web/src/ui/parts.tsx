@@ -156,6 +156,7 @@ export function NumberField({ label, value, min, max, digits, unit, disabled, on
   const formatted = rounded(value, digits);
   const [draft, setDraft] = useState<string | null>(null);
   const latest = useRef<string | null>(null); // the field is left before it is drawn again
+  const entered = useRef(false); // by the click under way
   const write = (text: string | null) => setDraft((latest.current = text));
   const commit = () => {
     const typed = Number.parseFloat(latest.current ?? "");
@@ -171,6 +172,12 @@ export function NumberField({ label, value, min, max, digits, unit, disabled, on
         value={draft ?? formatted}
         disabled={disabled}
         onInput={(event) => write(event.currentTarget.value)}
+        onFocus={({ currentTarget: field }) => (field.select(), (entered.current = true))}
+        onPointerUp={({ currentTarget: field }) => {
+          // the click has put the caret somewhere: what is typed next takes the number's place all the same
+          if (entered.current && field.selectionStart === field.selectionEnd) field.select();
+          entered.current = false;
+        }}
         onBlur={() => latest.current !== null && commit()}
         onKeyDown={(event) => {
           event.stopPropagation();
@@ -295,6 +302,8 @@ export function Dialog({
   const box = useRef<HTMLDialogElement>(null);
   useEffect(() => {
     box.current!.showModal();
+    // at what is chosen, where the browser would be at the button that closes it
+    box.current!.querySelector<HTMLElement>(".dialog-body input:checked")?.focus();
   }, []);
   // At once, and only while it is there: the browser's own `close` event comes a task later, when a key may have opened
   // the next dialog.
