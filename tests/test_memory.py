@@ -72,3 +72,32 @@ def test_free_pieces_amid_the_heap_go_back_where_large_arrays_do():
         for mode in ("returned", "kept")
     ]
     assert sizes[0] > 40 and sizes[1] == 0
+
+
+EDITS_IN_TURN = """
+import sys
+from resource import RUSAGE_SELF, getrusage
+import numpy as np
+from splatpainter.system.memory import keep_freed_arrays, return_large_arrays
+
+if sys.argv[1] == "returned":
+    return_large_arrays()
+if sys.argv[1] != "fresh":
+    keep_freed_arrays()
+for turn in range(12):
+    if turn == 2:
+        faults = getrusage(RUSAGE_SELF).ru_minflt
+    arrays = [np.ones(1 << 16) for _ in range(24)]  # 12 MiB in all, of 3,072 pages
+    del arrays
+print(getrusage(RUSAGE_SELF).ru_minflt - faults)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="what glibc does")
+def test_what_an_edit_frees_is_there_for_the_next():
+    fresh, learnt, limited = (
+        int(subprocess.run([sys.executable, "-c", EDITS_IN_TURN, mode], capture_output=True, check=True).stdout)
+        for mode in ("fresh", "kept", "returned")
+    )
+    assert learnt < 1000 < 10 * 1500 < fresh
+    assert limited > 10 * 1500, "processes of one edit go on giving back"

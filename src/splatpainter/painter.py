@@ -30,6 +30,7 @@ from splatpainter.painting.networks import Networks
 from splatpainter.painting.prepared_views import prepared_views
 from splatpainter.receipts import StageClock
 from splatpainter.splats import Splats
+from splatpainter.system.memory import keep_freed_arrays
 from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
@@ -148,6 +149,7 @@ class Painter:
         if mode not in get_args(Mode):
             raise ValueError(f"edit: expected mode {', '.join(get_args(Mode))}, got {mode!r}")
 
+        keep_freed_arrays()
         # Who makes it, and on what.
         chosen, note = self.choose(method, mode)
         how = method_for(chosen, mode, self._networks, self.local, self.settings)

@@ -241,3 +241,11 @@ def test_an_answer_does_not_wait_until_the_log_is_folded_and_the_next_command_do
         answered.set()
         browser.do("layer.new", name="second")
         assert order[:3] == ["commits", "folds", "commits"]
+
+
+@pytest.mark.parametrize("ids", [[], [0], [2, 3, 9], [0, 1, 2, 3, 4]])
+@pytest.mark.parametrize("excluded", [[], [0], [2, 3, 9], [3, 12]])
+def test_gaussians_that_are_previewed_anew_are_not_put_back(ids: list[int], excluded: list[int]) -> None:
+    first, second = np.array(ids, np.int64), np.array(excluded, np.int64)
+    left = client._without(first, second)
+    assert left.dtype == np.int64 and left.tolist() == [k for k in ids if k not in excluded]

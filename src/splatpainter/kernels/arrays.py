@@ -18,8 +18,9 @@ class IdleLimits:
 
     smallest_bytes: int = 1 << 16
     """Of smaller arrays, malloc keeps the memory itself."""
-    most_bytes: int = 64 << 20
-    """Of all that is idle: the numbers of a million projected Gaussians."""
+    most_bytes: int = 128 << 20
+    """Of all that is idle: the numbers of a million projected Gaussians, as they come and in order. With half of it a
+    dab on a million had 10,000 page faults in place of 500, and 110 ms of the system's time in place of 27."""
     most_waste: float = 1.5
     """Memory serves arrays of at least its size divided by this."""
 
@@ -34,6 +35,8 @@ class _IdleMemory:
     def __init__(self) -> None:
         self.memories: list[np.ndarray] = []
         """[bytes] uint8 each, the latest last."""
+        self.size = 0
+        """Bytes of all of them."""
         self.lock = threading.Lock()
         self.limits = IDLE_LIMITS
 
@@ -43,7 +46,9 @@ class _IdleMemory:
             try:
                 for k in range(len(self.memories) - 1, -1, -1):
                     if size <= self.memories[k].size <= self.limits.most_waste * size:
-                        return self.memories.pop(k)
+                        memory = self.memories.pop(k)
+                        self.size -= memory.size
+                        return memory
             finally:
                 self.lock.release()
         return np.empty(size, np.uint8)
@@ -54,9 +59,9 @@ class _IdleMemory:
             return
         try:
             self.memories.append(memory)
-            excess = sum(one.nbytes for one in self.memories) - self.limits.most_bytes
-            while excess > 0:
-                excess -= self.memories.pop(0).nbytes
+            self.size += memory.size
+            while self.size > self.limits.most_bytes:
+                self.size -= self.memories.pop(0).size
         finally:
             self.lock.release()
 
@@ -79,6 +84,7 @@ def keep_no_idle_memory() -> None:
     """For processes that end soon: what arrays held goes back to the system with them."""
     _idle.limits = replace(IDLE_LIMITS, most_bytes=0)
     _idle.memories.clear()
+    _idle.size = 0
 
 
 def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import sys
 
+import numpy as np
+
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -30,6 +32,9 @@ class MallocOptions:
 
 
 MALLOC = MallocOptions()
+LARGEST_LEARNT_BYTES = (32 << 20) - (64 << 10)
+"""glibc takes the size of a mapped block that is freed for the least of those to come, up to 32 MiB with its own
+header and pages (DEFAULT_MMAP_THRESHOLD_MAX in malloc.c)."""
 _returned: list[bool] = []
 """Whether this process is one that returns large arrays."""
 
@@ -44,6 +49,14 @@ def return_large_arrays() -> None:
             mallopt(MALLOC.trim_threshold, MALLOC.most_idle_bytes)
             mallopt(MALLOC.arena_max, MALLOC.most_arenas)
             _returned.append(True)
+
+
+def keep_freed_arrays() -> None:
+    """For processes that make edits: glibc keeps what arrays of up to 32 MiB have freed, which it does by itself after
+    the first large one. Before it pages go back and come again: 3,000 of a dab on 100,000 Gaussians, an eighth of its
+    CPU time. Where `return_large_arrays` was called, or elsewhere than with glibc, nothing changes."""
+    # Nobody writes to it, so it never becomes memory.
+    np.empty(LARGEST_LEARNT_BYTES, np.uint8)
 
 
 def return_idle_memory() -> None:
