@@ -12,7 +12,7 @@ import pytest
 from tests.support.cli_scenes import ball, saved
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE = ("numpy", "pillow", "backports.zstd", "safetensors", "tyro", "docstring-parser", "tqdm", "platformdirs")
+CORE = ("numpy", "pillow", "backports.zstd", "tyro", "docstring-parser", "tqdm", "platformdirs")
 """What `pip install splatpainter` brings, besides what these bring along."""
 BLOCKED = """
 import sys
@@ -27,8 +27,8 @@ from splatpainter.cli import main
 sys.exit(main())
 """
 EXTRAS = {
-    "torch", "numba", "llvmlite", "scipy", "OpenImageIO", "fastapi", "uvicorn", "httpx", "yaml", "jinja2", "trimesh",
-    "mitsuba", "spandrel", "splatpainter_networks",
+    "torch", "safetensors", "numba", "llvmlite", "scipy", "OpenImageIO", "fastapi", "uvicorn", "httpx", "yaml",
+    "jinja2", "trimesh", "mitsuba", "spandrel", "splatpainter_networks",
 }  # fmt: skip
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from safetensors.numpy import load, save
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
@@ -153,6 +156,54 @@ def test_another_preset_no_folder_and_broken_files_are_refused(tmp_path: Path) -
     (tmp_path / checkpoint.INDEX).write_text("{")
     with pytest.raises(ValueError, match="expected JSON"):
         checkpoint.load(tmp_path)
+
+
+def packed(table: object, numbers: bytes = bytes(8)) -> bytes:
+    text = table if isinstance(table, bytes) else json.dumps(table).encode()
+    return len(text).to_bytes(8, "little") + text + numbers
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i4", "i8", "u1"])
+def test_arrays_are_read_as_safetensors_reads_them(dtype: str) -> None:
+    arrays = {"a": np.arange(6, dtype=dtype).reshape(2, 3), "b.c": np.ones((), dtype), "none": np.zeros((0, 4), dtype)}
+    data = save(arrays, {"made": "by hand"})
+    read, expected = checkpoint._unpack_numpy(data), load(data)
+    assert read.keys() == expected.keys()
+    for name, array in read.items():
+        assert array.dtype == expected[name].dtype
+        np.testing.assert_array_equal(array, expected[name], strict=True)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        packed(b"{")[:-3],
+        packed(b"\xff\xfe"),
+        packed([]),
+        packed(b"[" * 100_000),
+        packed({"a": 3}),
+        packed({"a": {"dtype": "F32", "shape": [2]}}),
+        packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [0]}}),
+        packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": ["0", "8"]}}),
+        packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [0.5, 8]}}),
+        packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [-8, 0]}}),
+        packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [8, 16]}}),
+        packed({"a": {"dtype": "F32", "shape": [3], "data_offsets": [0, 8]}}),
+        packed({"a": {"dtype": "F32", "shape": ["2"], "data_offsets": [0, 8]}}),
+        packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [0, 7]}}),
+        packed({"a": {"dtype": "BF16", "shape": [4], "data_offsets": [0, 8]}}),
+        packed({"a": {"dtype": ["F32"], "shape": [2], "data_offsets": [0, 8]}}),
+    ],
+)
+def test_a_damaged_table_of_arrays_is_one_line(data: bytes, tmp_path: Path) -> None:
+    digest = hashlib.sha256(data).hexdigest()
+    shard = {"file": f"weights-{digest[:16]}.safetensors", "sha256": digest, "holds": "a"}
+    (tmp_path / shard["file"]).write_bytes(data)
+    index = {"format": CONFIG.format, "version": 1, "tensors": {}, "shards": [shard]}
+    (tmp_path / checkpoint.INDEX).write_text(json.dumps(index))
+    with pytest.raises(ValueError, match=r"^[^\n]*: not a safetensors file \([^\n]*\)$"):
+        checkpoint.load_arrays(tmp_path, "a")
 
 
 @pytest.mark.parametrize(

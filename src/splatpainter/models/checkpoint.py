@@ -352,8 +352,6 @@ def _common(folder: Path, record: dict[str, Any], where: str) -> dict[str, torch
 
 def _shard(folder: Path, shard: Any, where: str, unpack: Callable[[bytes], dict[str, Any]]) -> dict[str, Any]:
     """The tensors of one shard; nothing of it is used before its hash is right."""
-    from safetensors import SafetensorError
-
     file, digest = (shard.get("file"), shard.get("sha256")) if isinstance(shard, dict) else (None, None)
     # Also keeps paths that lead out of the folder away.
     if not (isinstance(file, str) and SHARD_NAME.fullmatch(file)):
@@ -367,7 +365,7 @@ def _shard(folder: Path, shard: Any, where: str, unpack: Callable[[bytes], dict[
         raise ValueError(f"{path}: damaged (its SHA-256 is not the one in {INDEX}); copy it again")
     try:
         return unpack(data)
-    except SafetensorError as error:
+    except ValueError as error:
         raise ValueError(f"{path}: not a safetensors file ({error})") from None
 
 
@@ -391,15 +389,39 @@ def _shard_path(folder: Path, file: str) -> Path:
 
 
 def _unpack_torch(data: bytes) -> dict[str, torch.Tensor]:
+    from safetensors import SafetensorError
     from safetensors.torch import load
 
-    return load(data)
+    try:
+        return load(data)
+    except SafetensorError as error:
+        raise ValueError(error) from None
+
+
+_STORED = {"F32": "<f4", "F64": "<f8", "F16": "<f2", "I64": "<i8", "I32": "<i4", "U8": "u1"}
+"""Names of safetensors' number types -> numpy's."""
 
 
 def _unpack_numpy(data: bytes) -> dict[str, np.ndarray]:
-    from safetensors.numpy import load
+    """As safetensors.numpy.load, whose package has wheels of no free-threaded Python: what the core reads is little.
+    Raises ValueError for anything else than the format of https://huggingface.co/docs/safetensors."""
+    import numpy as np
 
-    return load(data)
+    # Bytes of the table as a u64, the table as JSON, then the numbers that its offsets count from there.
+    start = 8 + int.from_bytes(data[:8], "little")
+    try:
+        table = json.loads(data[8:start])
+        table.pop("__metadata__", None)
+        arrays = {}
+        for name, entry in table.items():
+            first, end = entry["data_offsets"]
+            if not 0 <= first <= end <= len(data) - start:
+                raise ValueError(f"the numbers of '{name}' are cut off")
+            numbers = np.frombuffer(data[start + first : start + end], _STORED[entry["dtype"]])
+            arrays[name] = numbers.reshape(entry["shape"])
+    except (AttributeError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"its table is damaged: {error!r}") from None
+    return arrays
 
 
 def _joined(stored: dict[str, torch.Tensor], table: dict[str, Any], where: str) -> dict[str, torch.Tensor]:
