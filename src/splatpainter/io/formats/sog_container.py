@@ -88,7 +88,9 @@ def _bundle(entries: dict[str, bytes], prefix: str) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
         for name, data in entries.items():
-            archive.writestr(zipfile.ZipInfo(posixpath.normpath(prefix + name), (1980, 1, 1, 0, 0, 0)), data)
+            info = zipfile.ZipInfo(posixpath.normpath(prefix + name), (1980, 1, 1, 0, 0, 0))
+            info.create_system = 3  # Unix, also on Windows, whose own number zipfile would write
+            archive.writestr(info, data)
     return out.getvalue()
 
 
