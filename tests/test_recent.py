@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-import threading
-from collections.abc import Callable
-
-import pytest
-
 from splatpainter.system.recent import Recent
+from tests.support.threads import at_once
 
 
 def held(recent: Recent) -> list:
@@ -45,58 +40,26 @@ def test_sizes_count_and_none_is_an_item() -> None:
     assert empty.get("a", lambda: 1 / 0) is None  # type: ignore[arg-type, return-value]
 
 
-@pytest.fixture
-def quick_switches():
-    """Threads take turns a thousand times as often, where they do not run at once anyway."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(5e-6)
-    yield
-    sys.setswitchinterval(before)
-
-
-def at_once(*work: Callable[[], None]) -> None:
-    """Runs all of these on threads that begin together; raises what one of them raised."""
-    errors: list[BaseException] = []
-    ready = threading.Barrier(len(work))
-
-    def run(function: Callable[[], None]) -> None:
-        ready.wait()
-        try:
-            function()
-        except BaseException as error:
-            errors.append(error)
-
-    threads = [threading.Thread(target=run, args=(function,)) for function in work]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for error in errors:
-        raise error
-
-
-@pytest.mark.usefixtures("quick_switches")
 def test_what_is_held_is_found_by_all_threads_at_once() -> None:
     """Also while another one has just found it, which moves it to the end."""
     recent: Recent[str] = Recent(4)
     for key in "abcd":
         recent.put(key, key)
 
-    def find() -> None:
+    def find(thread: int) -> None:
         for k in range(20_000):
             assert recent.find("abcd"[k % 4]) == "abcd"[k % 4]
 
-    at_once(find, find, find)
+    at_once(find, 3)
 
 
-@pytest.mark.usefixtures("quick_switches")
 def test_threads_that_put_at_once_leave_as_many_as_there_is_room_for() -> None:
     recent: Recent[int] = Recent(2, least=2)
 
-    def put(first: int) -> None:
-        for k in range(first, first + 10_000):
+    def put(thread: int) -> None:
+        for k in range(10_000 * thread, 10_000 * (thread + 1)):
             assert recent.put(k % 7, k) == k
             assert len([*recent.values()]) in (1, 2)
 
-    at_once(*(lambda n=n: put(n) for n in (0, 10_000, 20_000)))
+    at_once(put, 3)
     assert len(recent.items) == 2

@@ -6,12 +6,13 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from splatpainter.kernels.parallel import THREADS_VARIABLE, ahead, beside, each, run
+from splatpainter.kernels.parallel import THREADS_VARIABLE, _Helper, ahead, beside, each, run
 
 
 @pytest.fixture(autouse=True)
@@ -84,6 +85,21 @@ def test_items_are_made_one_ahead_and_never_two(threads: str, monkeypatch: pytes
     assert list(ahead([])) == []
 
 
+def test_items_that_are_made_at_once_come_no_earlier(monkeypatch: pytest.MonkeyPatch):
+    """As where threads do not wait for a GIL."""
+    monkeypatch.setenv(THREADS_VARIABLE, "2")
+    begin, made = _Helper.begin, []
+
+    def begin_and_finish(helper: _Helper, share: Callable[[int, int], None], thread: int, count: int) -> None:
+        begin(helper, share, thread, count)
+        while helper._share is not None:
+            time.sleep(0.001)
+
+    monkeypatch.setattr(_Helper, "begin", begin_and_finish)
+    for k in ahead(made.append(k) or k for k in range(6)):
+        assert len(made) == min(k + 2, 6)
+
+
 def test_what_making_an_item_raises_comes_in_its_turn_and_what_its_user_raises_ends_it():
     def items() -> Iterator[int]:
         yield 0
@@ -101,6 +117,7 @@ def test_what_making_an_item_raises_comes_in_its_turn_and_what_its_user_raises_e
     run(lambda thread, threads: None)  # helpers serve on
 
 
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")  # it is what is tried
 def test_a_forked_child_has_helpers_of_its_own():
     if sys.platform == "win32":
         pytest.skip("no fork there")

@@ -134,10 +134,13 @@ def ahead(items: Iterable[Item]) -> Iterator[Item]:
             ends = True
 
     while True:
+        # Asked before the next one begins, which a quick thread has made by the next line: it would come too early, and
+        # nothing would be made beside it.
+        ready = bool(made)
         helper = _Helper.take()
         helper.begin(make, 1, 2)
         try:
-            if made:
+            if ready:
                 yield made.pop(0)
         finally:
             error = helper.end()
