@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,13 @@ def test_what_another_computer_has_open_is_read_only(path: Path) -> None:
         assert path.read_bytes() == before != data
         assert other_holder(path) == "studio-2", "the other one's note stays"
     assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, f"{path.name}-host"]
+
+
+def test_nothing_but_its_name_is_asked_of_this_computer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`platform.node()` asks Windows for its version as well, through a service that may answer late or never."""
+    name = platform.node()
+    monkeypatch.setattr(platform, "uname", lambda: pytest.fail("more was asked"))
+    assert holder.this_computer().name == name
 
 
 def test_who_knows_better_takes_it_over_despite_the_note(path: Path) -> None:

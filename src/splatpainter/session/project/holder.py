@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import platform
 from pathlib import Path
 
 from splatpainter.io import files
@@ -40,11 +39,14 @@ class Computer:
 
 def this_computer() -> Computer:
     """That of this process."""
+    import socket  # needed by projects alone
+
     try:
         boot = BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
         boot = ""
-    return Computer(platform.node(), boot)
+    # platform.node() has the same answer, but Windows is asked for its version on the way, which can take long.
+    return Computer(socket.gethostname(), boot)
 
 
 def note_of(project: Path) -> Path:
