@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatpainter.kernels import arrays
-from splatpainter.kernels.arrays import IDLE_LIMITS, aligned
+from splatpainter.kernels import arrays, library
+from splatpainter.kernels.arrays import IDLE_LIMITS, aligned, readonly
 from splatpainter.kernels.parallel import each
 
 FLOAT = np.dtype(np.float32)
@@ -80,3 +80,24 @@ def test_nobody_waits_for_it_and_threads_share_it(idle: arrays._IdleMemory):
         return bool((array == number).all())
 
     assert all(each(fill, range(60))), "one array's memory was two arrays'"
+
+
+def test_addresses_are_those_that_numpy_lists():
+    memory = np.arange(60.0).reshape(5, 12)
+    fixed = memory.view()
+    fixed.flags.writeable = False
+    for array in (memory, memory[2:, 3:], memory[:0], memory.T, fixed, np.empty(0), np.ma.masked_array(memory)):
+        assert library.address_of(array) == array.__array_interface__["data"][0]
+    assert library._listed_address(memory[1:]) == library._read_address(memory[1:]), "what numpy lists is slow"
+
+
+def test_what_is_as_kernels_take_it_is_not_copied():
+    memory = np.arange(24, dtype=np.float32).reshape(4, 6)
+    view = readonly(memory, np.float32)
+    assert np.shares_memory(view, memory) and not view.flags.writeable and memory.flags.writeable
+    unaligned = np.frombuffer(bytes(25), np.uint8)[1:].view(np.float32)
+    for other in (memory.T, memory.astype(np.float64), memory.astype(">f4"), memory[:, ::2], unaligned, [1.0, 2.0]):
+        copy = readonly(other, np.float32)
+        assert copy.dtype == np.dtype("=f4") and copy.flags.c_contiguous and copy.flags.aligned
+        assert np.array_equal(copy, other) and not copy.flags.writeable
+        assert not np.shares_memory(copy, np.asarray(other))

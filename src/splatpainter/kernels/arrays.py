@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from splatpainter.kernels.library import address_of
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -94,13 +95,15 @@ def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     size = math.prod(shape) * dtype.itemsize
     small = size < IDLE_LIMITS.smallest_bytes
     raw = np.empty(size + 64, np.uint8) if small else np.asarray(_Lent(_idle.take(size + 64), _idle))
-    start = -raw.ctypes.data % 64
+    start = -address_of(raw) % 64
     return raw[start : start + size].view(dtype).reshape(shape)
 
 
 def readonly(array: np.ndarray, dtype: np.dtype | type) -> np.ndarray:
     """A C-contiguous, aligned, read-only view or copy of a dtype: what inputs of kernels must be."""
-    view = np.require(array, dtype, ["C", "A"]).view()
+    # Most are such arrays already, and numpy asks in Python.
+    fits = type(array) is np.ndarray and array.dtype == dtype and array.flags.c_contiguous and array.flags.aligned
+    view = (array if fits else np.require(array, dtype, ["C", "A"])).view()
     view.flags.writeable = False
     return view
 

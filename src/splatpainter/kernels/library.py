@@ -33,6 +33,26 @@ _NUMBERS = {"q": "q", "?": "?7x", "d": "d", "f": "d"}
 """dtype of a parameter that is a number -> struct's letter of it; a float travels as a double."""
 
 
+def _listed_address(array: np.ndarray) -> int:
+    return array.__array_interface__["data"][0]
+
+
+def _read_address(array: np.ndarray) -> int:
+    return ctypes.c_size_t.from_address(id(array) + object.__basicsize__).value
+
+
+def _reads_addresses() -> bool:
+    """Whether numpy's arrays begin with what every object begins with, and then the address of their data: all do, as
+    numpy's C interface has it (PyArrayObject_fields in ndarraytypes.h), where `id` is where an object lies."""
+    array = np.zeros((3, 2))[1:]
+    return sys.implementation.name == "cpython" and _read_address(array) == _listed_address(array)
+
+
+address_of = _read_address if _reads_addresses() else _listed_address
+"""The address of an array's first number: read in a fifth of the time in which numpy lists it, a thousand times an
+edit."""
+
+
 class _KernelRow(ctypes.Structure):
     _fields_ = [("name", ctypes.c_char_p), ("signature", ctypes.c_char_p), ("call", ctypes.c_void_p)]
 
@@ -72,13 +92,14 @@ class _Parameter:
         # the very object: an edit packs a thousand arguments.
         shape, dtype, flags = value.shape, value.dtype, value.flags
         if (
-            (dtype is not self.dtype and dtype != self.dtype)
+            not isinstance(value, np.ndarray)
+            or (dtype is not self.dtype and dtype != self.dtype)
             or len(shape) != self.dimensions
             or not (flags.carray if self.written else flags.c_contiguous and flags.aligned)
             or (self.columns and shape[-1] != self.columns)
         ):
             raise TypeError
-        return value.__array_interface__["data"][0], *shape, *self.rest
+        return address_of(value), *shape, *self.rest
 
 
 class _Form:

@@ -371,7 +371,13 @@ class ProjectedView:
         entries = np.full((self.camera.height, self.camera.width), -1, np.int32)
         lists = (self.projected, self.flatten_ids, self.tile_ids, self.isect_offsets)
         run(kernels.heaviest_tiles, *lists, entries, _profile_number(profile))
-        return np.append(self.gaussian_ids, -1)[entries]
+        # Only around the drawn tiles: a sheet's hosts are looked for in a few of them.
+        out = np.full(entries.shape, -1, np.int64)
+        rows, columns = (np.flatnonzero(self.tiles.any(axis)) for axis in (1, 0))
+        if len(rows):
+            box = tuple(slice(TILE * at[0], TILE * (at[-1] + 1)) for at in (rows, columns))
+            out[box] = np.append(self.gaussian_ids, -1)[entries[box]]
+        return out
 
     def with_colors(self, colors: np.ndarray | None) -> np.ndarray:
         """`projected` with [M, 3] colours in place of the SH colours (None: as it is)."""
