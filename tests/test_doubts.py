@@ -5,7 +5,9 @@ from __future__ import annotations
 import gzip
 import io as bytes_io
 import json
+import re
 import struct
+import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -337,7 +339,61 @@ KINDS = [
     (b"RIFF\x10\0\0\0AVI " + bytes(52), "a film"),
     (b"RIFF\x10\0\0\0WEBP" + bytes(52), "a picture"),
     (bytes(257) + b"ustar" + bytes(26), "a tar archive"),
+    (b"\0\0\0\x08wide\0\0\x10\0mdat" + bytes(48), "a film"),
+    ((b"\x47\x40\0\x10" + bytes(184)) * 8, "a film"),
+    (b"FLV\x01\x05" + bytes(59), "a film"),
+    (b"OggS\0\2" + bytes(58), "a film"),
+    (b"\0\0\x01\xba\x44" + bytes(59), "a film"),
+    (b"II*\0\x08\0\0\0" + bytes(56), "a picture"),
+    (b"8BPS\0\1" + bytes(58), "a picture"),
+    (b"BM\x36\x10\0\0\0\0\0\0\x36\0\0\0\x28\0\0\0" + bytes(46), "a picture"),
+    (b"\0\0\0\x0cJXL \r\n\x87\n" + bytes(52), "a picture"),
+    (b"\0\x05\x16\x07\0\2\0\0Mac OS X        " + bytes(40), "a shadow file of macOS"),
+    (b"\x7fELF" + bytes(60), "a program"),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(56), "a document"),
 ]
+
+
+@pytest.mark.parametrize(
+    ("member", "what"),
+    [
+        ("archive/data.pkl", "a checkpoint of a trainer"),
+        ("means.npy", "arrays of numpy"),
+        ("scene.usdc", "a USD scene"),
+        ("gs/point_cloud.ply", "unpack it, then open gs/point_cloud.ply"),
+    ],
+)
+@pytest.mark.parametrize("ending", ["pt", "ply", "sog", "usdz"])
+def test_zips_that_are_no_sog(member: str, what: str, ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{ending}"
+    with zipfile.ZipFile(path, "w") as bundle:
+        bundle.writestr(member, b"x")
+    with pytest.raises(ValueError, match=re.escape(what)):
+        sp.read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("a.psht", "a project of Postshot"),
+        ("a.lcc", "a scene of XGRIDS"),
+        ("a.splatv", "a moving scene"),
+        ("a.safetensors", "weights"),
+        ("a.usda", "a USD scene"),
+    ],
+)
+def test_files_of_other_programs_are_named_by_their_ending(name: str, what: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"\x01\x02\xff" * 40)
+    with pytest.raises(ValueError, match=what):
+        sp.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", ["splat", "ply", "spz", "sog"])
+@pytest.mark.parametrize("text", [b"404: Not Found", b"Not Found"])
+def test_a_server_s_short_answer_is_a_text(text: bytes, ending: str, tmp_path: Path) -> None:
+    (tmp_path / f"a.{ending}").write_bytes(text)
+    with pytest.raises(ValueError, match="is a text '.*not found'"):
+        sp.read(tmp_path / f"a.{ending}")
 
 
 @pytest.mark.parametrize("ending", ["splat", "ply", "spz", "ksplat", "sog", "glb", "bin"])

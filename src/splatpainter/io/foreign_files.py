@@ -12,14 +12,16 @@ from pathlib import Path
 
 HEAD_BYTES = 512
 """Bytes that are looked at."""
+EXPORT_ADVICE = "export the splats from it (nerfstudio: ns-export gaussian-splat; gsplat: --save_ply)"
 DOWNLOAD = "download the file itself (on GitHub and Hugging Face: raw, or download)"
 SPLATS = "expected Gaussian splats"
+FILM_ADVICE = "render frames of it and train an asset from them"
 _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"version https://git-lfs", "a git-LFS pointer", "run `git lfs pull` in its folder to get the file itself"),
     (4, b"ftypheic", "a picture (HEIC)", SPLATS),
     (4, b"ftypavif", "a picture (AVIF)", SPLATS),
-    (4, b"ftyp", "a film (MP4, MOV)", "render frames of it and train an asset from them"),
-    (0, b"\x1a\x45\xdf\xa3", "a film (WebM, Matroska)", "render frames of it and train an asset from them"),
+    (4, b"ftyp", "a film (MP4, MOV)", FILM_ADVICE),
+    (0, b"\x1a\x45\xdf\xa3", "a film (WebM, Matroska)", FILM_ADVICE),
     (0, b"\x89PNG\r\n", "a picture (PNG)", SPLATS),
     (0, b"\xff\xd8\xff", "a picture (JPEG)", SPLATS),
     (0, b"GIF8", "a picture (GIF)", SPLATS),
@@ -33,19 +35,52 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"\x93NUMPY", "an array of numpy", "save it as .ply (sp.write)"),
     (0, b"LASF", "a point cloud (LAS, LAZ)", "train Gaussians from pictures of it"),
     (0, b"ASTM-E57", "a point cloud (E57)", "train Gaussians from pictures of it"),
+    (0, b"#usda ", "a USD scene", "save its splats as .ply or .spz"),
     (0, b"PXR-USDC", "a USD scene", "save its splats as .ply or .spz"),
     (0, b"SQLite format 3\x00", "a database (a .splatproj project?)", "open projects with `splatpainter studio`"),
     (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", "unpack it first"),
     (0, b"Rar!\x1a\x07", "a RAR archive", "unpack it first"),
+    *((4, box, "a film (MOV)", FILM_ADVICE) for box in (b"moov", b"mdat", b"wide", b"free", b"skip")),
+    (0, b"FLV\x01", "a film (FLV)", FILM_ADVICE),
+    (0, b"OggS\0", "a film or sound (Ogg)", FILM_ADVICE),
+    (0, b"\0\0\x01\xba\x44", "a film (MPEG)", FILM_ADVICE),
+    (0, b"II*\0", "a picture (TIFF)", SPLATS),
+    (0, b"MM\0*", "a picture (TIFF)", SPLATS),
+    (0, b"8BPS\0", "a picture (PSD)", SPLATS),
+    (4, b"JXL \r\n\x87\n", "a picture (JPEG XL)", SPLATS),
+    (6, b"\0\0\0\0\x36\0\0\0\x28\0\0\0", "a picture (BMP)", SPLATS),
+    (0, b"\0\x05\x16\x07\0\x02\0\0", "a shadow file of macOS", "open the file of that name without ._"),
+    (0, b"\x89HDF\r\n\x1a\n", "a container (HDF5)", "save its splats as .ply"),
+    (0, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a document of Office", SPLATS),
+    (0, b"\x7fELF", "a program", SPLATS),
+    (0, b"MZ\x90\0", "a program", SPLATS),
+    (0, b"\x04\x22\x4d\x18", "packed by LZ4", "unpack it first"),
     (8, b"WEBP", "a picture (WebP)", SPLATS),
-    (8, b"AVI ", "a film (AVI)", "render frames of it and train an asset from them"),
+    (8, b"AVI ", "a film (AVI)", FILM_ADVICE),
     (257, b"ustar", "a tar archive", "unpack it first"),
 )
 """(offset, bytes there, what it is, what to do)."""
 GZIP = b"\x1f\x8b"
+TS_PACKET, TS_SYNC = 188, 0x47
+"""Bytes of a packet of an MPEG transport stream, and the first of each."""
+EXPORTS = (
+    (".psht", "a project of Postshot", "export it there as .ply"),
+    (".lcc", "a scene of XGRIDS (LCC)", "export it there as .ply"),
+    (".rad", "a streamed scene of Spark (RAD)", "open the file that it was made from"),
+    (".splatv", "a moving scene (.splatv)", "save one moment of it as .ply"),
+    (".spx", "a scene of Reall3D (.spx)", "convert it there to .ply or .spz"),
+    (".safetensors", "weights (safetensors)", "save its splats as .ply"),
+    (".blend", "a scene of Blender", "export its splats as .ply"),
+    *((ending, "a USD scene", "save its splats as .ply or .spz") for ending in (".usd", ".usda", ".usdc", ".usdz")),
+    *((ending, "a checkpoint of a trainer", EXPORT_ADVICE) for ending in (".pt", ".pth", ".ckpt", ".pkl")),
+)
+"""(ending, what it is, what to do) of files whose bytes do not say so."""
 COPY_AGAIN = "its download or copy was not finished, or the disk was full: get it again"
 MIN_ZEROS = 64
 """Bytes: two rows of a .splat, whose rotations are no zeros."""
+MIN_ROW = 32
+"""Bytes: one row of a .splat, the smallest file of splats."""
+SPLAT_ENDINGS = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb")
 MIN_LETTERS = 16
 """Of a text: bytes of floats have no such run of letters and spaces alone."""
 _PRINTABLE = frozenset(range(32, 127)) | {9, 10, 13}
@@ -63,15 +98,26 @@ def check_not_foreign(head: bytes, path: Path) -> None:
     for offset, magic, what, remedy in _MAGIC:
         if head[offset : offset + len(magic)] == magic and (offset != 8 or head[:4] == b"RIFF"):
             raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
+    if _is_transport_stream(head):
+        raise ValueError(f"{path}: is a film (MPEG transport stream), not a splat file; {FILM_ADVICE}")
     ending = path.suffix.lower()
     packed = ending in (".ply", ".glb", ".sog") or (ending in (".splat", ".ksplat") and _is_gzip(head))
     if head.startswith(GZIP) and packed:  # SPZ has it too, and a .splat may
         raise ValueError(f"{path}: is packed by gzip; unpack it first (gunzip), or call it .spz if it is one")
+    for other, what, remedy in EXPORTS:
+        if ending == other:
+            raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
     letters = len(text) - len(text.translate(None, string.ascii_letters.encode()))
     is_json = text.startswith((b'{"', b"[{")) and len(text) > MIN_LETTERS
-    if (letters >= MIN_LETTERS or is_json) and path.suffix.lower() != ".json" and _PRINTABLE.issuperset(text):
+    is_short = len(head) < MIN_ROW and letters and ending in SPLAT_ENDINGS
+    if (letters >= MIN_LETTERS or is_json or is_short) and ending != ".json" and _PRINTABLE.issuperset(text):
         remedy = "save it as .glb" if is_json and b'"asset"' in text else DOWNLOAD
         raise ValueError(f"{path}: is a text {text[:40].decode('ascii')!r}, not a splat file; {remedy}")
+
+
+def _is_transport_stream(head: bytes) -> bool:
+    starts = head[: 4 * TS_PACKET : TS_PACKET]
+    return len(starts) >= 3 and set(starts) == {TS_SYNC}
 
 
 def _is_gzip(head: bytes) -> bool:

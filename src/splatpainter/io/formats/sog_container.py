@@ -20,11 +20,21 @@ from typing import Any
 from splatpainter.io import files
 from splatpainter.io.bounded import allow, inflate, zip_directory
 from splatpainter.io.folders import inside
+from splatpainter.io.foreign_files import EXPORT_ADVICE
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
 
 META = "meta.json"
+OTHER_ZIPS = (
+    ("/data.pkl", "a checkpoint of a trainer", EXPORT_ADVICE),
+    (".npy", "arrays of numpy (npz)", "save them as .ply (sp.write)"),
+    (".usdc", "a USD scene", "save its splats as .ply or .spz"),
+    (".usda", "a USD scene", "save its splats as .ply or .spz"),
+    (".usd", "a USD scene", "save its splats as .ply or .spz"),
+    ("/mergedimage.png", "a picture in layers", "expected Gaussian splats"),
+)
+"""(ending of a name inside, what such a zip is, what to do)."""
 LOD_META = "lod-meta.json"
 """What a streamed SOG has in its place."""
 APPLE_FOLDER = "__MACOSX"
@@ -178,6 +188,9 @@ def _meta_entry(names: list[str], path: Path) -> str:
     expected = f"{META} in one folder of the bundle" if folders else f"{META} in the bundle"
     inside = next((name for name in visible if name.lower().endswith((".ply", ".spz", ".splat", ".ksplat"))), None)
     remedy = "" if inside is None else f"; unpack it, then open {files.printable(inside)}"
+    for ending, what, advice in () if inside else OTHER_ZIPS:
+        if any(name.lower().endswith(ending) for name in names):
+            raise ValueError(f"{path}: is {what}, not a splat file; {advice}")
     raise ValueError(f"{path}: expected {expected}, found {listed}{remedy}")
 
 
