@@ -191,6 +191,7 @@ class PageCodes:
 
 
 PAGES = PageCodes()
+BIG_ENDIAN_BIGTIFF = b"MM\0+"
 
 
 @dataclass(frozen=True)
@@ -249,6 +250,10 @@ def read_deep(path: Path, max_pixels: int) -> PixelSamples:
         first, last = min(positions), max(positions) + 1
         if last - first > 16:
             raise ValueError(f"{path}: expected the colour channels side by side, got {last - first - 1} between them")
+        # OpenImageIO 3.2 gives back whatever was in the memory.
+        side_by_side = spec.getattribute("planarconfig") != "separate"
+        if source.format_name() == "tiff" and str(spec.format) == "double" and spec.tile_width and side_by_side:
+            raise ValueError(f"{path}: expected floats of 16 or 32 bits, got tiles of 64 bits; save it with 32")
         pixels = source.read_image(part, 0, first, last, "float")
         if pixels is None or not isinstance(pixels, np.ndarray):
             raise ValueError(f"{path}: damaged picture ({_short(problem_of(source))})")
@@ -326,12 +331,18 @@ def is_beyond_pillow(path: Path) -> bool:
     takes."""
     try:
         with _opened(path, MAX_PICTURE_PIXELS) as (_, spec):
-            is_deep = str(spec.format) not in ("uint8", "int8")
-            return is_deep and spec.getattribute("tiff:PhotometricInterpretation") in PAGES.rgb_or_grey
+            # Pillow opens no BigTIFF whose numbers are big-endian, whatever their bits.
+            is_foreign = str(spec.format) not in ("uint8", "int8") or _begins_with(path, BIG_ENDIAN_BIGTIFF)
+            return is_foreign and spec.getattribute("tiff:PhotometricInterpretation") in PAGES.rgb_or_grey
     except ValueError as error:
         if "needs OpenImageIO" in str(error) or "megapixels" in str(error):
             raise
         return False
+
+
+def _begins_with(path: Path, magic: bytes) -> bool:
+    with open(path, "rb") as file:
+        return file.read(len(magic)) == magic
 
 
 def _profile(spec: Any) -> bytes | None:

@@ -137,3 +137,38 @@ def test_the_picture_may_be_the_second_part_of_an_exr(tmp_path: Path) -> None:
     assert out.open(str(tmp_path / "a.exr"), specs[1], "AppendSubimage")
     assert out.write_image(to_light(colors, "srgb")) and out.close()
     assert np.abs(read_picture(tmp_path / "a.exr").colors - colors).max() < 1e-5
+
+
+def test_tiles_of_doubles_are_refused(tmp_path: Path) -> None:
+    """They came back as whatever was in the memory."""
+    oiio = pytest.importorskip("OpenImageIO")
+    colors = np.random.default_rng(0).uniform(size=(40, 56, 3))
+    path = tmp_path / "a.tif"
+    spec = oiio.ImageSpec(56, 40, 3, "double")
+    spec.tile_width = spec.tile_height = 16
+    out = oiio.ImageOutput.create(str(path))
+    assert out.open(str(path), spec) and out.write_image(colors)
+    out.close()
+    with pytest.raises(ValueError, match=r"a\.tif: expected floats of 16 or 32 bits, got tiles of 64 bits"):
+        read_picture(path)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_a_big_endian_bigtiff_is_read(kind: type, tmp_path: Path) -> None:
+    pytest.importorskip("OpenImageIO")
+    most = np.iinfo(kind).max
+    colors = np.random.default_rng(1).integers(0, most + 1, (9, 7, 3)).astype(kind)
+    data = colors.astype(colors.dtype.newbyteorder(">")).tobytes()
+    bits = 8 * colors.dtype.itemsize
+    entries = [(256, 7), (257, 9), (258, None), (259, 1), (262, 2), (273, 16), (277, 3), (278, 9), (279, len(data))]
+    directory = struct.pack(">Q", len(entries))
+    for tag, value in entries:
+        if value is None:
+            directory += struct.pack(">HHQHHHH", tag, 3, 3, bits, bits, bits, 0)
+        else:
+            directory += struct.pack(">HHQQ", tag, 16, 1, value)
+    padded = data + bytes(-len(data) % 8)
+    head = b"MM" + struct.pack(">HHHQ", 43, 8, 0, 16 + len(padded))
+    path = tmp_path / "a.tif"
+    path.write_bytes(head + padded + directory + bytes(8))
+    assert np.abs(read_picture(path).colors - colors / most).max() < 1e-6
