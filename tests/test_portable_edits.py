@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from splatpainter.io.formats import sog_container
+from splatpainter.kernels import portable
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
 FOLDERS = (
@@ -25,7 +26,20 @@ FILES = (
     *("io/axes.py", "models/apply_edit.py", "models/stored_predictor.py", "models/gaussian_facts.py"),
 )
 FUNCTIONS = {
-    *("dot", "vdot", "inner", "matmul", "tensordot", "einsum", "interp", "correlate", "convolve", "polyfit", "cov"),
+    *(
+        "dot",
+        "vdot",
+        "inner",
+        "matmul",
+        "tensordot",
+        "einsum",
+        "interp",
+        "correlate",
+        "convolve",
+        "polyfit",
+        "cov",
+        "average",
+    ),
     *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "power", "float_power", "cbrt", "hypot"),
     *("sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh", "tanh"),
 }
@@ -98,12 +112,23 @@ def test_files_fills_and_matches_have_the_same_bytes_with_another_numpy_and_blas
     assert hashes(single) == here
 
 
-def test_numpy_sums_long_arrays_in_the_order_that_it_has_since_2_3():
-    """Edits of large assets stand on it (lift/global_edit.py): with numpy 2.2 one Gaussian in twenty of the demo's
-    evening has another last bit. Red with a newer numpy: edits must then sum in an order of their own."""
-    numbers = np.arange(88_680) * 0.6180339887498949 % 1
-    sums = (numbers[:49_999].astype(np.float32).sum(), np.sqrt(numbers).astype(np.float32).sum(), numbers.sum())
-    assert [number.tobytes().hex() for number in sums] == ["0450c346", "0cef6647", "58fc700a65a6e540"]
+@pytest.mark.parametrize("size", [0, 7, 8192, 8193, 88_680, 300_001])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_long_sums_are_those_of_halves(size: int, dtype: type[np.floating]):
+    """numpy before 2.3 adds up long arrays in pieces: one Gaussian in twenty of the demo's evening had another last
+    bit."""
+    numbers = np.sqrt(np.arange(size) * 0.6180339887498949 % 1).astype(dtype)
+
+    def halved(values: np.ndarray) -> np.floating:
+        if len(values) <= 8192:
+            return values.sum()
+        half = len(values) // 16 * 8
+        return halved(values[:half]) + halved(values[half:])
+
+    assert portable.total(numbers).tobytes() == halved(numbers).tobytes()
+    if size == 88_680:
+        expected = {np.float32: "0cef6647", np.float64: "0cb5797be1ddec40"}[dtype]  # of numpy 2.3 to 2.5
+        assert portable.total(numbers).tobytes().hex() == expected
 
 
 def test_a_sog_has_the_same_bytes_on_windows(monkeypatch: pytest.MonkeyPatch):

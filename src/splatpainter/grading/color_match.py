@@ -122,7 +122,7 @@ class Recolor:
         """As ColorMatch.fit. Raises ValueError: what is to change is black."""
         # Shade is luminance over its mean; the new colour takes the place of that mean.
         light = luminance(srgb_to_linear(colors.clip(0, 1).astype(np.float64)))
-        mean = float((light * weights).sum() / max(weights.sum(), 1e-12))
+        mean = float(portable.total(light * weights) / max(portable.total(weights), 1e-12))
         if mean < MATCHING.min_luminance:
             raise ValueError("recolor: expected something brighter than black; raise its exposure first")
         return NewColor(self.target, mean)
@@ -133,7 +133,7 @@ class Recolor:
 
 def statistics(colors: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([3] mean, [3, 3] covariance) float64 of colours [N, 3] with weights [N] >= 0, not all 0."""
-    share = weights.astype(np.float64) / weights.sum(dtype=np.float64)
+    share = weights.astype(np.float64) / portable.total(weights, np.float64)
     mean = portable.transposed_product(colors.astype(np.float64), share[:, None])[:, 0]
     centred = colors - mean
     return mean, portable.gram(centred, share)

@@ -176,11 +176,11 @@ def body_of(splats: Splats, selected: np.ndarray) -> Bools | None:
     # Doubts: a cut through a surface, or along a painted figure, is no body's border.
     crossing = is_body[one] != is_body[two]
     inner = is_body[one] & is_body[two]
-    if not is_body.any() or float(links[crossing].sum()) > BODY.max_cut * float(links[inner].sum()):
+    if not is_body.any() or portable.total(links[crossing]) > BODY.max_cut * portable.total(links[inner]):
         return None
-    if crossing.any() and float(links[crossing].mean()) > BODY.max_border * float(links[inner].mean()):
+    if crossing.any() and portable.mean(links[crossing]) > BODY.max_border * portable.mean(links[inner]):
         return None
-    if crossing.any() and float(evenness[crossing].mean()) > BODY.max_evenness:
+    if crossing.any() and portable.mean(evenness[crossing]) > BODY.max_evenness:
         return None
     # A small part of the body under the lasso was meant as that part.
     within = is_body[pieces.piece]

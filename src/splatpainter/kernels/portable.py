@@ -1,8 +1,8 @@
 """Products and functions of arrays with the same bits on every machine.
 
 numpy's `@`, `dot`, `einsum` and `linalg` go to a BLAS and a LAPACK whose sums depend on the CPU, and so do its `exp`,
-`log`, `sin` and their like, its `hypot` and `**`. Sums, products, quotients, roots, `norm(axis=...)`, `cross`, `sum`,
-`mean`, `cumsum`, `bincount` and stable sorts do not.
+`log`, `sin` and their like, its `hypot` and `**`. Sums, products, quotients, roots, `norm(axis=...)`, `cross`,
+`cumsum`, `bincount`, stable sorts, and `sum` and `mean` of up to MAX_SUMMED numbers do not.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import numpy as np
 
 NUMBERS_PER_THREAD = 1 << 14
 """Fewer results are not worth waking threads for."""
+MAX_SUMMED = 8192
+"""Numbers that numpy 2.0 to 2.2 add up in the order of later versions; more, they add up in pieces of as many."""
 LN_2 = 0.6931471805599453
 Number = Any
 """A number, or an array of float32 or float64."""
@@ -76,6 +78,23 @@ def log_determinant(matrix: np.ndarray) -> float:
     factor = np.array(matrix, np.float64)
     _run("solve_symmetric", 0, factor, np.zeros((len(factor), 1)))
     return float(2 * log(np.diagonal(factor)).sum())
+
+
+def total(values: np.ndarray, dtype: Any = None) -> float:
+    """Sum of all values, one after the other as they lie, in the order that numpy has from 2.3 on: halves of whole
+    eights, down to MAX_SUMMED. dtype: of the sum (default: the values')."""
+    values = np.ascontiguousarray(values).ravel()
+    # What is cast is added up in pieces by every version.
+    if len(values) <= MAX_SUMMED or (dtype is not None and values.dtype != dtype):
+        return values.sum(dtype=dtype)
+    half = len(values) // 2
+    half -= half % 8
+    return total(values[:half]) + total(values[half:])
+
+
+def mean(values: np.ndarray) -> float:
+    """Mean of all float values, one at least, summed as by `total`."""
+    return total(values) / values.dtype.type(values.size)
 
 
 def dot(first: np.ndarray, second: np.ndarray) -> float:

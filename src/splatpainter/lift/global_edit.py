@@ -126,7 +126,7 @@ def lift_global(
     # How far a Gaussian's features are from all that was seen (leverage of the regression): far ones are guesses.
     leverage = np.empty(len(features), np.float32)
     run(kernels.measure_leverage, features, readonly(inverse, np.float32), leverage)
-    typical = np.maximum(np.average(leverage.take(visible), weights=seen_weights), 1e-12)
+    typical = np.maximum(portable.total(leverage.take(visible) * seen_weights) / portable.total(seen_weights), 1e-12)
     certain = share[:, 0] + (1 - share[:, 0]) * 0.5 / (1 + leverage / (4 * typical))
     confidence, seen = (value.astype(np.float32) for value in (certain, share[:, 0]))
     return GlobalLift(result, confidence, seen, regressed_colors, normals.astype(np.float32, copy=False))
@@ -174,7 +174,8 @@ def _far_side(
     share = options.far_side * one_sided(splats, [view.camera for view in views])
     # A change that is a function of colour is a look, and goes all around: nothing is taken back.
     share *= float(np.clip((unexplained - low) / (high - low), 0, 1))
-    mean = np.average(change, axis=0, weights=np.minimum(seen_weights, MAX_WEIGHT_PX))
+    capped = np.minimum(seen_weights, MAX_WEIGHT_PX)
+    mean = (change * capped[:, None]).sum(0) / portable.total(capped)
 
     def back(block: slice) -> np.ndarray:
         hidden = options.half_hidden_px / (weight[block] + options.half_hidden_px)
@@ -235,7 +236,7 @@ def _color_terms(colors: np.ndarray) -> np.ndarray:
 def _unexplained(terms: np.ndarray, change: np.ndarray, weight: np.ndarray, options: GlobalOptions) -> float:
     """0..1: the share of a change [S, 3] that is no linear function of terms [S, T]."""
     capped = np.minimum(weight, MAX_WEIGHT_PX).astype(np.float64)[:, None]
-    gram = portable.gram(terms, capped[:, 0]) + options.ridge * capped.sum() * np.eye(terms.shape[1])
+    gram = portable.gram(terms, capped[:, 0]) + options.ridge * portable.total(capped) * np.eye(terms.shape[1])
     solution = portable.solved(gram, portable.transposed_product(terms * capped, change))
     rest = change - portable.matmul(terms, solution)
     left, all_of_it = np.empty(rest.shape), np.empty(rest.shape)
@@ -245,7 +246,7 @@ def _unexplained(terms: np.ndarray, change: np.ndarray, weight: np.ndarray, opti
         all_of_it[block] = capped[block] * change[block].astype(np.float64) ** 2
 
     by_blocks(square, len(rest))
-    return float(left.sum() / max(all_of_it.sum(), 1e-12))
+    return float(portable.total(left) / max(portable.total(all_of_it), 1e-12))
 
 
 def _solid_views(splats: Splats, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> list[SolidView]:
@@ -288,7 +289,7 @@ def ridge(
     # The four constant terms are held less: exposure and tint are common, direction is rarely sure.
     penalty = np.full(36, options.ridge_normals)
     penalty[:4] = options.ridge
-    inverse = portable.solved(portable.gram(features, capped) + np.diag(penalty * capped.sum()), np.eye(36))
+    inverse = portable.solved(portable.gram(features, capped) + np.diag(penalty * portable.total(capped)), np.eye(36))
     return portable.matmul(inverse, portable.transposed_product(features, change * capped[:, None])), inverse
 
 

@@ -120,7 +120,7 @@ def field_witnesses(light: np.ndarray, transfer: np.ndarray, points: np.ndarray)
     if len(light) < FIELD.least:
         return None
     moved = points.astype(np.float64) - points.astype(np.float64).mean(0)
-    moved = moved / max(float(np.sqrt((moved * moved).sum(1).mean())), 1e-30)
+    moved = moved / max(float(np.sqrt(portable.mean((moved * moved).sum(1)))), 1e-30)
     logs = portable.log(light + 0.01)
     hues = np.stack([logs[:, 0] - logs[:, 1], logs[:, 2] - logs[:, 1]], 1)
     bright = luminance(light)

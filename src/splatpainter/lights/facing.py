@@ -132,7 +132,7 @@ def _looked_at(splats: Splats, axes: np.ndarray) -> Facing:
     cosines = (axes * towards).sum(1) / np.maximum(seen, 1e-9)
     one_sided = (seen > ORIENTATION.seen_px) & (np.abs(cosines) > ORIENTATION.one_sided)
     weight = seen[one_sided].astype(np.float64)
-    agreeing = float(weight[cosines[one_sided] > 0].sum() / weight.sum()) if len(weight) else 0.0
+    agreeing = float(portable.total(weight[cosines[one_sided] > 0]) / portable.total(weight)) if len(weight) else 0.0
     sheets = agreeing >= ORIENTATION.mostly_oriented_share or not len(weight)
     sheets = sheets and _coherence(splats, axes, radius) >= ORIENTATION.coherent_share
     # Oriented patches are believed also where nothing sees them; else each side is what views found.

@@ -90,7 +90,7 @@ def _compared(splats: Splats, surface: LitSurface, before: SourceLight, rows: np
     # Of an irradiance that is wrong by `uncertainty` each coefficient is wrong by as much, in the mean of normals.
     cosine_lobe = 3 * (2 / 3) ** 2 + 5 * (1 / 4) ** 2
     variance = before.uncertainty**2 * 4 * math.pi / cosine_lobe
-    doubt = variance * float((response * response).sum()) / (4 * math.pi)
+    doubt = variance * float(portable.total(response * response)) / (4 * math.pi)
     agreement, power = np.empty(len(rows)), np.empty(len(rows))
 
     def compare(first: int) -> None:
@@ -119,7 +119,7 @@ def _neighbourhoods(splats: Splats, rows: np.ndarray) -> np.ndarray:
     """[M] int64 numbers of those that share a place and a colour."""
     moved = splats.means[rows].astype(np.float64)
     moved = moved - moved.mean(0)
-    extent = max(float(np.sqrt((moved * moved).sum(1).mean())), 1e-30)
+    extent = max(float(np.sqrt(portable.mean((moved * moved).sum(1)))), 1e-30)
     # Cells off the origin, about which many assets are symmetric. Far outliers share the outermost cells.
     cells = np.floor(moved / (GLOSS.neighbourhood * extent) + 0.37).clip(-512, 511).astype(np.int64) + 512
     colors = np.floor(base_color(splats.sh[rows]) / GLOSS.colors).clip(0, 15).astype(np.int64)

@@ -34,7 +34,7 @@ def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
     logs = portable.log(np.maximum(colors.astype(np.float64), 0) + DARK)
     # Clipped, as a channel that is nearly black says nothing of the light's hue.
     hues = np.stack([logs[:, 0] - logs[:, 1], logs[:, 2] - logs[:, 1]], 1).clip(-HUE_RANGE, HUE_RANGE)
-    total = float(weights.sum())
+    total = float(portable.total(weights))
     if not total > 0:
         return np.ones(3)
     axis = np.linspace(-GRID_RANGE, GRID_RANGE, GRID_STEPS)
@@ -51,7 +51,7 @@ def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
     for k in range(len(grid)):
         red, blue = 2 * half - k // GRID_STEPS, 2 * half - k % GRID_STEPS
         part = density[red : red + len(amounts), blue : blue + len(amounts)]
-        chance[k] = float((amounts * part).sum())
+        chance[k] = float(portable.total(amounts * part))
     chance += _log_normal(grid, LIGHT_MEAN, LIGHT_COVARIANCE)
     chance = portable.exp(chance - chance.max())
     # The mean of what is likely, not the likeliest: one asset seldom decides.

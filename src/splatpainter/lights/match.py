@@ -483,6 +483,6 @@ def _score(splats: Splats, views: Sequence[Edit]) -> float:
     for view in views:
         assert view.mask is not None
         error = np.asarray(render(splats, view.camera).colors)[0][..., :3].clip(0, 1) - view.image
-        squares += float((error[view.mask].astype(np.float64) ** 2).sum())
+        squares += float(portable.total(error[view.mask].astype(np.float64) ** 2))
         count += 3 * int(view.mask.sum())
     return float(-10 * portable.log(max(squares / max(count, 1), 1e-8)) / portable.log(10.0))

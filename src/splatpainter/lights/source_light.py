@@ -202,7 +202,7 @@ def _from_patches(
     likely, covariance, belief = likely_light(everything, variance, up)
     # In irradiance, as that is what a wrong light would do to colours.
     basis = _basis_all_around()
-    square_error = float((portable.matmul(basis, covariance) * basis).sum(1).mean())
+    square_error = float(portable.mean((portable.matmul(basis, covariance) * basis).sum(1)))
     uncertainty = math.sqrt(LIMITS.understated * square_error + LIMITS.common_error**2)
     likely = _not_negative(likely, basis)
     coefficients = uniform_coefficients()
@@ -244,7 +244,7 @@ def _observations(
     if len(light) < LIMITS.min_observations:
         return None
     moved = points.astype(np.float64) - points.astype(np.float64).mean(0)
-    extent = max(float(np.sqrt((moved * moved).sum(1).mean())), 1e-30)
+    extent = max(float(np.sqrt(portable.mean((moved * moved).sum(1)))), 1e-30)
     # Cells scale with the asset, and hues are logarithms: neither its size nor its exposure changes the patches.
     cells = np.floor(moved / (LIMITS.patch_extents * extent))
     logs = portable.log(albedo + 0.01)

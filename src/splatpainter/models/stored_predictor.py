@@ -63,7 +63,7 @@ class StoredPredictor:
         opponent = np.array(OPPONENT, np.float32)
         # Bounded, and as shares: one huge Gaussian in front must not decide for all.
         counts = np.minimum(weight[seen], np.float32(MAX_WEIGHT_PX))
-        share = (counts / counts.sum())[:, None]
+        share = (counts / portable.total(counts))[:, None]
 
         # What the asset as a whole is like, and what the pictures say of it, are two vectors that all Gaussians hear.
         inputs = described(facts[seen])

@@ -361,7 +361,8 @@ def _recolored(before: Splats, after: Splats, lifted: LiftedEdit, views: Sequenc
 
 def _squared_error(splats: Splats, views: Sequence[EditView]) -> float:
     """Sum over the edited pixels of all views."""
+    from splatpainter.kernels import portable
     from splatpainter.rendering import render
 
     errors = (np.clip(render(splats, v.camera).colors[0], 0, 1)[v.mask] - v.edited[v.mask] for v in views)
-    return sum(float(np.square(error).sum(dtype=np.float64)) for error in errors)
+    return sum(float(portable.total(np.square(error), np.float64)) for error in errors)

@@ -26,6 +26,7 @@ import numpy as np
 
 from splatpainter.color import base_color, linear_to_srgb, srgb_to_linear, to_light
 from splatpainter.grading.color_grading import apply_to_sh
+from splatpainter.kernels import portable
 from splatpainter.splats import ColorSpace, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.voxels.neighbours import nearest_within
@@ -199,9 +200,12 @@ def _fitted(source: np.ndarray, target: np.ndarray) -> tuple[float, float]:
 
 
 def _line(source: np.ndarray, target: np.ndarray) -> tuple[float, float]:
-    mean, target_mean = float(source.mean()), float(target.mean())
-    spread, target_variance = float(source.var()), float(target.var())
-    together = float(((source - mean) * (target - target_mean)).mean())
+    mean, target_mean = float(portable.mean(source)), float(portable.mean(target))
+    spread, target_variance = (
+        float(portable.mean(np.square(source - mean))),
+        float(portable.mean(np.square(target - target_mean))),
+    )
+    together = float(portable.mean((source - mean) * (target - target_mean)))
     # Uncorrelated pairs say nothing of a slope: the more, the more the ratio of the means decides.
     pull = SEAM.offset_pull * (1 - min(max(together, 0.0) ** 2 / max(spread * target_variance, 1e-24), 1.0))
     square = (target_variance + pull * target_mean**2 + SEAM.noise_variance) / (

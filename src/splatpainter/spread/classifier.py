@@ -17,6 +17,7 @@ from dataclasses import field
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats
+from splatpainter.kernels import portable
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.system.quick_dataclass import dataclass
@@ -60,15 +61,15 @@ def two_class(features: np.ndarray, positive: Bools, weights: np.ndarray, ridge:
     """[FEATURES] float64 theta. features: [M, FEATURES]; positive: [M] bool, some and not all; weights: [M] > 0."""
     inside, outside = np.where(positive, weights, 0), np.where(positive, 0, weights)
     # Each class weighs one: a stroke has few Gaussians, the rest of the view many.
-    w = inside / inside.sum(dtype=np.float64) + outside / outside.sum(dtype=np.float64)
+    w = inside / portable.total(inside, np.float64) + outside / portable.total(outside, np.float64)
     return _solved(features, w, w * positive, ridge)
 
 
 def density_ratio(features: np.ndarray, positive: np.ndarray, weights: np.ndarray, ridge: float) -> Floats:
     """[FEATURES] float64 theta. Arguments as of `two_class`; all of them count as the rest."""
     inside = np.where(positive, weights, 0)
-    w = weights / weights.sum(dtype=np.float64)
-    return _solved(features, w, inside / inside.sum(dtype=np.float64), ridge)
+    w = weights / portable.total(weights, np.float64)
+    return _solved(features, w, inside / portable.total(inside, np.float64), ridge)
 
 
 def _solved(features: np.ndarray, weights: np.ndarray, values: np.ndarray, ridge: float) -> np.ndarray:

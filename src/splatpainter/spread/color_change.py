@@ -59,8 +59,8 @@ class ColorChange:
     def fit(old: np.ndarray, new: np.ndarray, weights: np.ndarray) -> ColorChange:
         """old, new: [P, 3] display colours; weights: [P] >= 0, not all 0."""
         x, y = (srgb_to_linear(colors.astype(np.float64).clip(0, 1)) for colors in (old, new))
-        share = weights.astype(np.float64) / weights.sum(dtype=np.float64)
-        light = max(float((share * luminance(x)).sum()), COLOR_CHANGE.min_light)
+        share = weights.astype(np.float64) / portable.total(weights, np.float64)
+        light = max(float(portable.total(share * luminance(x))), COLOR_CHANGE.min_light)
         x = x / light
         # The prior: paint of the mean new colour, lit as the old surface was.
         start = np.outer((share[:, None] * y).sum(0), LUMA)  # [3, 3]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from splatpainter.array_types import Bools
+from splatpainter.kernels import portable
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -81,7 +82,9 @@ class Evidence:
         0 for detail that is finer than they are. Over assets and edits: paint, text and stickers 0.63 to 0.96,
         close-ups 0.26 to 0.45."""
         means = (self.change**2).mean(1) / np.maximum(self.inside, 1e-6)
-        return float(np.clip(means.sum(dtype=np.float64) / max(self.energy.sum(dtype=np.float64), 1e-12), 0, 1))
+        return float(
+            np.clip(portable.total(means, np.float64) / max(portable.total(self.energy, np.float64), 1e-12), 0, 1)
+        )
 
     @property
     def doubt(self) -> float:

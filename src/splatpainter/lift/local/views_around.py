@@ -109,7 +109,7 @@ def _viewed_change(splats: Splats, edit: EditView, pixel: float) -> ViewedChange
     visible = (depth > 0)[..., None]
     # Of two ways to say what changed (against the picture, against the asset drawn as small) the smaller one.
     changes = [(edited - before) * visible, (edited - image * mask[..., None]) * visible]
-    change = min(changes, key=lambda change: float((change**2).sum(dtype=np.float64)))
+    change = min(changes, key=lambda change: float(portable.total(change**2, np.float64)))
     return ViewedChange(camera, change, mask * (depth > 0), depth) if visible.any() else None
 
 

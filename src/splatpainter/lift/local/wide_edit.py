@@ -149,18 +149,18 @@ def _moved(splats: Splats, views: Sequence[EditView]) -> Splats:
 
 def _error(image: np.ndarray, view: EditView) -> float:
     """Sum of squared differences from the view's edited pixels."""
-    return float((_solid(view)[view.mask, None] * (image - view.edited)[view.mask] ** 2).sum(dtype=np.float64))
+    return float(portable.total(_solid(view)[view.mask, None] * (image - view.edited)[view.mask] ** 2, np.float64))
 
 
 def _coarse_error(image: np.ndarray, view: EditView, count: int) -> float:
     """What is left of `_error` when the change is averaged over squares of the standard deviation that is the spacing
     of the Gaussians that the view shows, `count` of them."""
     counted = (_solid(view) * view.mask)[..., None]
-    spacing = float(np.sqrt(counted.sum(dtype=np.float64) / max(count, 1)))
+    spacing = float(np.sqrt(portable.total(counted, np.float64) / max(count, 1)))
     radius = max(round(np.sqrt(3) * spacing - 0.5), 1)  # a square of 2 r + 1 pixels deviates by (2 r + 1) / sqrt(12)
     radius = min(radius, min(view.mask.shape) // 2)
     mean = box_mean(counted * (view.edited - image), radius) / np.maximum(box_mean(counted, radius), 1e-6)
-    return float((counted * mean**2).sum(dtype=np.float64))
+    return float(portable.total(counted * mean**2, np.float64))
 
 
 def _rate_of_scales(coarse: float) -> float:
