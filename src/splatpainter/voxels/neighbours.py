@@ -89,7 +89,7 @@ def near_pairs(points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarra
         for begin, end in itertools.pairwise(edges.tolist()):
             counts = count[begin:end]
             one = np.repeat(np.arange(begin, end), counts)
-            two = np.arange(total[begin], total[end]) - np.repeat(total[begin:end] - first[begin:end], counts)
+            two = np.arange(int(total[begin]), int(total[end])) - np.repeat(total[begin:end] - first[begin:end], counts)
             x, y, z = (np.square(column.take(one) - column.take(two)) for column in columns)
             near = np.flatnonzero(x + y + z <= radius**2)
             close.append((order[one.take(near)], order[two.take(near)]))
