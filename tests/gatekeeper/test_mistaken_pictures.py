@@ -285,6 +285,10 @@ def test_what_changes_less_than_half_of_an_asset_is_only_remarked() -> None:
     assert grey is not None and grey.words == "grey" and grey.may_be_meant
     grey = explain(grey_by_pillow(VIEW), VIEW, ALPHA)
     assert grey is not None and grey.words == "grey" and not grey.may_be_meant
+    # Where the background lost its colours, too, it was done to all of the picture.
+    on_blue = mostly_grey + (1 - ALPHA[..., None]) * (np.array([0.1, 0.3, 0.5]) - VIEW[0, 0])
+    grey = explain(grey_by_pillow(on_blue), on_blue, ALPHA)
+    assert grey is not None and grey.words == "grey" and not grey.may_be_meant
 
 
 def test_saturation_is_taken_back() -> None:
@@ -485,6 +489,37 @@ def test_a_grade_that_spares_the_background_is_a_mistake(graded: np.ndarray) -> 
     """In mode local it would paint the one side that the picture shows."""
     explanation = explain(on_the_asset(graded), VIEW, ALPHA)
     assert explanation is not None and explanation.cause == "tone" and "graded as a whole" in explanation.words
+
+
+GRADES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "exposure": lambda p: encoded(1.3 * decoded(p)),
+    "white balance": lambda p: encoded(decoded(p) * np.array([1.25, 1, 0.7])),
+    "contrast curve": lambda p: 0.5 + 0.5 * np.tanh(3 * (p - 0.5)) / np.tanh(1.5),
+    "slight": lambda p: p * np.array([1.04, 1, 0.96]),
+}
+
+
+@pytest.mark.parametrize("name", GRADES)
+def test_a_grade_under_paint_is_named(name: str) -> None:
+    """It would have been painted onto the one side that the picture shows, along with the dab."""
+    graded = np.array(GRADES[name](VIEW))
+    slight = explain(eight_bits(graded), VIEW, ALPHA)
+    assert slight is not None and not slight.may_be_meant
+    graded[90:130, 90:120] = (0.1, 0.6, 0.2)
+    explanation = explain(eight_bits(graded), VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "tone" and "graded as a whole" in explanation.words
+    # Of the asset alone it may be a large brush that multiplies.
+    explanation = explain(on_the_asset(graded), VIEW, ALPHA)
+    assert explanation is not None and (explanation.cause == "tone" or name == "white balance")
+
+
+def test_what_rounds_or_recolours_by_colour_is_no_grade() -> None:
+    """A level more or less everywhere; one colour of the asset replaced by another; a grade of nine tenths of it."""
+    dabbed = over(np.hypot(*np.mgrid[-120:120, -120:120])[..., None] < 20, (0.9, 0.1, 0.1))
+    reds = (VIEW[..., :1] > VIEW[..., 2:]) & (ALPHA[..., None] > 0.02)
+    most = VIEW + top(0.9) * (np.clip(VIEW * np.array([1.1, 1, 0.9]), 0, 1) - VIEW)
+    for picture in (dabbed + 1 / 255, dabbed * (1 - 2.4 / 255), np.where(reds, VIEW[..., ::-1], VIEW), most):
+        assert explain(eight_bits(np.asarray(picture)), VIEW, ALPHA) is None
 
 
 def test_another_asset_of_the_very_outline_is_named() -> None:

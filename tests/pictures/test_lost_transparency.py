@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,3 +73,30 @@ def test_other_backgrounds_are_what_they_were(asset: Splats) -> None:
     background = np.asarray(CAMERA.background, np.float32)
     for picture in (painted_over(asset, np.full(3, 0.25)), shaded, filled, 1 - render, 0.5 * render + 0.4):
         assert without_its_ground(picture.astype(np.float32), render, cover, background, None) is None
+
+
+def half_dark(asset: Splats) -> Splats:
+    """A pale asset with a black lower half, as a bust on its pedestal."""
+    sh = asset.sh.copy()
+    sh[:] = 1.2
+    sh[asset.means[:, 1] > 0] = -1.6
+    return replace(asset, sh=sh)
+
+
+@pytest.mark.parametrize(
+    "graded",
+    [lambda p: p * np.array([1.06, 1, 0.88]), lambda p: 0.06 + 0.94 * p, lambda p: np.clip(1.06 * p - 0.04, 0, 1)],
+    ids=["warmer", "faded", "more contrast"],
+)
+def test_a_grade_is_no_lost_transparency(tmp_path: Path, asset: Splats, graded: Callable) -> None:
+    """Dark parts hardly change, so that only the background seemed to be another."""
+    splats = half_dark(asset)
+    camera = look_at((0, 0, 4), (0, 0, 0), width=SIZE, height=SIZE, fov=40, background=(0.1, 0.3, 0.5))
+    render = drawn(splats, camera)[0]
+    path = tmp_path / "a.png"
+    for dab in (np.zeros_like(DAB), DAB):
+        picture = np.where(dab[..., None], (0.9, 0.1, 0.6), graded(render))
+        Image.fromarray((255 * picture + 0.5).astype(np.uint8)).save(path)
+        path.with_suffix(".json").write_text(camera.to_json())
+        with pytest.raises(ValueError, match="most likely it is"):
+            checked_picture(edit_from_files(path), splats)

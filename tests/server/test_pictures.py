@@ -68,6 +68,16 @@ def test_the_flattened_picture_of_a_psd_is_painted_with(studio: Live, tmp_path: 
         assert (seen & mask).sum() > 0.95 * mask.sum() and (seen & ~mask).sum() < 0.2 * mask.sum()
 
 
+def test_a_grade_that_lifts_the_background_is_no_ground(studio: Live) -> None:
+    """Lower contrast makes grey of black; the asset changed as well."""
+    image = np.clip(render(ball(), view()).colors[0], 0, 1)
+    file = io.BytesIO()
+    Image.fromarray(((0.05 + 0.9 * image) * 255).round().astype(np.uint8)).save(file, "PNG")
+    checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
+    assert GROUND_NOTE not in checked["notes"]
+    assert any("most likely it is" in warning["message"] for warning in checked["warnings"])
+
+
 @pytest.mark.parametrize("ending", ["PNG", "JPEG"])
 @pytest.mark.parametrize("scale", [1, 2])
 def test_a_ground_that_a_program_laid_behind_the_picture_is_no_paint(studio: Live, ending: str, scale: int) -> None:

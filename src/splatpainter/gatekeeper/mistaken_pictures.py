@@ -9,6 +9,7 @@ leaves nothing. Pure. H, W: pixels of the view; colours are display sRGB 0..1.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from splatpainter.gatekeeper.small_copies import (
     mean_difference,
 )
 from splatpainter.kernels.portable import dot, matmul, power
-from splatpainter.lift.masks import box_mean, contrast, largest_channel, largest_difference
+from splatpainter.lift.masks import MASKS, box_mean, contrast, largest_channel, largest_difference
 from splatpainter.pictures.encodings import busiest, detailed, few_colors
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -107,6 +108,19 @@ class MistakeThresholds:
     """Reach over which noise averages out."""
     min_tone_contrast: float = 0.35
     """Standard deviation of a graded picture in parts of the render's: one flat colour is paint."""
+    min_slight: float = 1 / 255
+    """Median change of the asset from which it may have been graded slightly."""
+    max_tone_error: float = 0.75 / 255
+    """How near a graded picture is to one function of colour: display values of means over 3 x 3 pixels of small
+    copies. Two views, a plain asset and a capture: 0.1 to 0.3 of 255 for four fifths of the pixels."""
+    tone_error_share: float = 0.1
+    """The same in parts of the median change; the larger of both counts."""
+    min_graded: float = 0.7
+    """Share of the asset that must be as near: the rest may be painted over."""
+    min_graded_share: float = 0.3
+    """Share of the asset that a grade must change visibly."""
+    min_graded_background: float = 0.1
+    """The same where it explains the background, too: much of an asset may be too dark to show it."""
     max_glaze_gain: float = 0.9
     """Contrast in parts of the render's up to which a colour may have been laid over all of the asset."""
     min_glaze_gain: float = 0.1
@@ -251,8 +265,10 @@ def explain(
         if best is not None and (best.cause == "turned" or best.agreeing_after > MISTAKES.min_sure):
             return best
         # ... against one smooth function of colour, which many mistakes of encoding resemble.
-        graded = _graded(view) if view.agreeing <= MISTAKES.max_agreeing or intact < MISTAKES.min_intact else None
+        nothing_left = view.agreeing <= MISTAKES.max_agreeing or intact < MISTAKES.min_intact
+        graded = _graded(view) if nothing_left else None
         likeliest = max(filter(None, (graded, best)), key=lambda one: one.agreeing_after, default=None)
+        likeliest = likeliest or _graded_under_paint(view, nothing_left)
         if likeliest is not None:
             return likeliest
     # By a pixel or a degree small copies hardly move: that is looked for at full size, where little is intact.
@@ -397,7 +413,7 @@ def _graded(view: SmallView) -> Explanation | None:
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
     if np.median(changed) < COPIES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
         return None
-    from splatpainter.gatekeeper.color_drift import estimate_drift, expected_tone  # few pictures come so far
+    from splatpainter.gatekeeper.color_drift import expected_tone  # few pictures come so far
 
     # A grade changes all of the background or nothing of it; a large brush reaches a part.
     if not view.paint_is_on_asset and (view.stray < COPIES.min_uniform or not view.background_is_uniform):
@@ -409,11 +425,68 @@ def _graded(view: SmallView) -> Explanation | None:
     predicted = solid & (mean_difference(expected, view.render) > COPIES.min_predicted)
     if predicted.any() and view.unchanged[predicted].mean() > COPIES.max_contradicting:
         return None
+    return _tone_of(view)
+
+
+def _graded_under_paint(view: SmallView, nothing_left: bool) -> Explanation | None:
+    """One smooth function of colour changed all of the asset, by however little, and some of it was painted over: the
+    rest is as near to the function as rounding leaves it, which paint alone is not. nothing_left: whether hardly
+    anything is as it was rendered, which dark parts of a graded asset may be."""
+    solid = view.solid
+    changed = largest_channel(np.abs(box_mean(view.picture - view.render, MISTAKES.tone_px)))[solid]
+    middle = float(np.median(changed)) if len(changed) else 0.0
+    slight = MISTAKES.min_slight <= middle < COPIES.max_difference
+    # A grade changes all of the background or nothing of it.
+    on_asset = view.paint_is_on_asset
+    if not (nothing_left or slight or view.background_changed) or not (on_asset or view.background_changed):
+        return None
+    from splatpainter.gatekeeper.color_drift import expected_tone  # few pictures come so far
+
+    expected = expected_tone(view.picture, view.render, solid, painted=True)
+    if expected is None:
+        return None
+    # Up to there nothing would count as painted.
+    predicted = solid & (
+        mean_difference(expected, view.render) > (MASKS.max_rounding if slight else COPIES.min_predicted)
+    )
+    error = min(max(MISTAKES.max_tone_error, MISTAKES.tone_error_share * middle), COPIES.max_difference)
+    near = mean_difference(view.picture, expected) <= error
+    least = MISTAKES.min_graded_background if _background_too(view) else MISTAKES.min_graded_share
+    if near[solid].mean() < MISTAKES.min_graded or predicted.sum() < least * solid.sum():
+        return None
+    # What was left out by a hand is as it was rendered; one colour over all of the asset may be meant.
+    same = mean_difference(view.picture, view.render) <= MISTAKES.max_tone_error
+    made = replace(view, picture=expected.astype(np.float32))
+    contrast_left = expected[solid].std(0).mean() / max(float(view.render[solid].std(0).mean()), 1e-6)
+    is_paint = same[predicted].mean() > COPIES.max_contradicting or contrast_left < MISTAKES.min_tone_contrast
+    if is_paint or (on_asset and _glaze_color(made, solid) is not None):
+        return None
+    # A shade from side to side is nearly a function of colour, too, where colours change from side to side.
+    if on_asset and not slight and laid_softly(view) is not None:
+        return None
+    return _tone_of(view)
+
+
+def _background_too(view: SmallView) -> bool:
+    """Whether the gain or mixture of channels that fits the asset takes the background back, too, which changed."""
+    if not view.background_changed:
+        return False
+    from splatpainter.gatekeeper.color_drift import estimate_drift
+
+    before, after = (np.median(image[view.bare], axis=0) for image in (view.render, view.picture))
+    drift = estimate_drift(view.picture, view.render, view.solid, certain=True)
+    return drift.kind != "none" and bool(np.abs(drift.corrected(after) - before).max() <= COPIES.max_difference)
+
+
+def _tone_of(view: SmallView) -> Explanation:
+    """What is said of a picture that was graded, and what takes it back."""
+    from splatpainter.gatekeeper.color_drift import estimate_drift
+
     # The background did not change: a colour laid over all of the asset is paint; any other curve is a grade.
-    if view.paint_is_on_asset:
+    if view.paint_is_on_asset and view.background_change < MISTAKES.max_tone_error:
         return Explanation("tone", "graded as a whole, but for its background", view.agreeing, 1.0)
     # Gain and offset can be taken back; a free curve cannot.
-    drift = estimate_drift(view.picture, view.render, solid, certain=True)
+    drift = estimate_drift(view.picture, view.render, view.solid, certain=True)
     words, undone, after = "graded as a whole", None, COPIES.min_explained
     if drift.kind in ("gain", "gain and offset"):
         words = f"graded as a whole (exposure or white balance by {drift.strength:.1f} stops)"

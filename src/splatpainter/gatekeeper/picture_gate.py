@@ -89,14 +89,19 @@ def checked_picture(
     at_view = source.at_view()
     source = replace(source, drawn=drawn_view(splats.numpy(), at_view.camera))
     view = _compared(at_view, splats)
-    if policy != "force":
-        source, view = _on_the_views_ground(source, view, splats)
+    on_ground = (source, view) if policy == "force" else _on_the_views_ground(source, view, splats)
     if not (view.cover > 0).any():  # nothing in view, which the painter says
         return CheckedPicture(source)
+
     # One rule for all entrances: command line, batch, session and nodes come through here.
-    explanation = explain(
-        view.colors, view.render, view.cover, lambda size: _with_other_axes(splats, view.camera, size)
-    )
+    def why(seen: _ComparedView) -> Explanation | None:
+        return explain(seen.colors, seen.render, seen.cover, lambda size: _with_other_axes(splats, seen.camera, size))
+
+    explanation = why(view)
+    # A grade changes the background, too: that is no ground of another program's.
+    if on_ground[1] is not view and (explanation is None or explanation.cause not in LOOKS):
+        source, view = on_ground
+        explanation = why(view)
     if policy == "correct":
         return CheckedPicture(_corrected(source, view, splats, mode, strictness, explanation))
     # A mask says where paint is, and mode global means all of it: then a difference everywhere may be meant.

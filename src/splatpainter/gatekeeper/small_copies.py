@@ -55,6 +55,8 @@ class CopyThresholds:
     min_uniform: float = 0.7
     """Share of the bare background that a mistake must either change or leave alone: of what is painted there, soft
     brushes reach a part."""
+    min_changed: float = 0.9
+    """Share of the bare background that differs from which all of it was changed: a brush or a fill leaves a part."""
     max_stray: float = 0.02
     """Share of the bare background that differs up to which all paint lies on the asset: it may be all painted over."""
     min_bare_share: float = 0.03
@@ -159,6 +161,18 @@ class SmallView:
         return self.stray <= COPIES.max_stray
 
     @property
+    def background_change(self) -> float:
+        """By how much most of the bare background changed, display values; 0 where there is none."""
+        change = (self.picture - self.render)[self.bare]
+        return float(np.abs(np.median(change, axis=0)).max()) if len(change) else 0.0
+
+    @property
+    def background_changed(self) -> bool:
+        """Whether the same happened to nearly all of the bare background: paint covers a part of it."""
+        has_background = self.bare.mean() >= COPIES.min_bare_share
+        return bool(has_background and self.stray >= COPIES.min_changed and self.background_is_uniform)
+
+    @property
     def background_is_uniform(self) -> bool:
         """Whether the same happened to most of the bare background."""
         change = (self.picture - self.render)[self.bare]
@@ -236,10 +250,13 @@ def explained_by(mistake: Mistake, made: np.ndarray, view: SmallView) -> Explana
         return None
     # What changes colours changes all of the background or nothing of it; a large brush reaches a part.
     bare = view.bare & (mean_difference(made, view.render) > COPIES.min_predicted)
-    if mistake.cause in ("colors", "shade") and bare.any():
-        uniform = max(float(agrees[bare].mean()), float(view.unchanged[bare].mean()))
-        if uniform < COPIES.min_uniform:
-            return None
     solid = view.solid
     reach = float(predicted[solid].mean()) if solid.any() else 1.0
+    if mistake.cause in ("colors", "shade") and bare.any():
+        changed = float(agrees[bare].mean())
+        if max(changed, float(view.unchanged[bare].mean())) < COPIES.min_uniform:
+            return None
+        # All of the picture went through it, however grey the asset is.
+        if mistake.cause == "colors" and changed >= COPIES.min_uniform and view.background_changed:
+            reach = 1.0
     return Explanation(mistake.cause, mistake.words, view.agreeing, float(agrees[view.compared].mean()), mistake, reach)
