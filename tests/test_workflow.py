@@ -37,7 +37,7 @@ def commands(job: dict[str, Any]) -> list[str]:
 def test_every_system_and_version_is_run(jobs: dict[str, Any]) -> None:
     matrix = jobs["pip"]["strategy"]["matrix"]
     assert matrix["os"] == ["ubuntu-latest", "macos-latest", "windows-latest"]
-    assert matrix["python"] == ["3.11", "3.12", "3.13"], "as strings: 3.10 would be a number like 3.1"
+    assert matrix["python"] == ["3.11", "3.12", "3.13", "3.14"], "as strings: 3.10 would be a number like 3.1"
     assert (
         matrix["exclude"] == [{"os": "ubuntu-latest", "python": "3.11"}] and jobs["make"]["runs-on"] == "ubuntu-latest"
     )
