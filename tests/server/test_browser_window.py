@@ -283,7 +283,7 @@ def test_keys_mean_the_picture_that_is_being_placed(opened: tuple[studio_scenes.
         page.drop("stripe.png", picture_file(), "image/png")
         page.wait("it", lambda: page.ask("window.studio.placement.value !== null"))
 
-    def x() -> float | None:
+    def x() -> Any:
         """Where it stands, a share of the view's width; None: nowhere."""
         return page.ask("(() => { const p = window.studio.placement.value; return p && p.x; })()")
 

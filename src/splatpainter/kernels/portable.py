@@ -80,7 +80,7 @@ def log_determinant(matrix: np.ndarray) -> float:
     return float(2 * log(np.diagonal(factor)).sum())
 
 
-def total(values: np.ndarray, dtype: Any = None) -> float:
+def total(values: np.ndarray, dtype: Any = None) -> Any:
     """Sum of all values, one after the other as they lie, in the order that numpy has from 2.3 on: halves of whole
     eights, down to MAX_SUMMED. dtype: of the sum (default: the values')."""
     values = np.ascontiguousarray(values).ravel()
@@ -92,7 +92,7 @@ def total(values: np.ndarray, dtype: Any = None) -> float:
     return total(values[:half]) + total(values[half:])
 
 
-def mean(values: np.ndarray) -> float:
+def mean(values: np.ndarray) -> Any:
     """Mean of all float values, one at least, summed as by `total`."""
     return total(values) / values.dtype.type(values.size)
 

@@ -190,7 +190,8 @@ def with_joint_colors(
     after = before + joint_change(solid, VIEW_SELECTION.joint_rounds, hold=VIEW_SELECTION.joint_hold_px) / SH_C0
     # The rounds draw colours of this range alone; where others cover less of a Gaussian, what lies beyond would shine.
     sh = splats.sh.copy()
-    sh[:, 0] = np.clip(after, np.minimum(before, sh_from_color(0.0)), np.maximum(before, sh_from_color(MAX_COLOR)))
+    black, brightest = sh_from_color(np.array((0, MAX_COLOR), np.float32))
+    sh[:, 0] = np.clip(after, np.minimum(before, black), np.maximum(before, brightest))
     return replace(splats, sh=sh)
 
 
