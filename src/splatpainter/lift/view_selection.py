@@ -19,9 +19,8 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
-from splatpainter.color import sh_from_color
 from splatpainter.kernels import portable
-from splatpainter.lift.colors import MAX_COLOR, MIN_SOLID_ALPHA, SolidView, joint_change
+from splatpainter.lift.colors import MIN_SOLID_ALPHA, SolidView, joint_change
 from splatpainter.lift.edit_views import EditView
 from splatpainter.lift.local.evidence import reaches_out
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
@@ -186,12 +185,8 @@ def with_joint_colors(
     if not common.any():
         return splats
     solid = [replace(view, weight=np.where(common, view.weight, 0)) for view in solid]
-    before = splats.sh[:, 0]
-    after = before + joint_change(solid, VIEW_SELECTION.joint_rounds, hold=VIEW_SELECTION.joint_hold_px) / SH_C0
-    # The rounds draw colours of this range alone; where others cover less of a Gaussian, what lies beyond would shine.
     sh = splats.sh.copy()
-    black, brightest = sh_from_color(np.array((0, MAX_COLOR), np.float32))
-    sh[:, 0] = np.clip(after, np.minimum(before, black), np.maximum(before, brightest))
+    sh[:, 0] += joint_change(solid, VIEW_SELECTION.joint_rounds, hold=VIEW_SELECTION.joint_hold_px) / SH_C0
     return replace(splats, sh=sh)
 
 
