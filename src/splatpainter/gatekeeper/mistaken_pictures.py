@@ -34,6 +34,7 @@ from splatpainter.gatekeeper.small_copies import (
 )
 from splatpainter.kernels.portable import dot, matmul, power
 from splatpainter.lift.masks import MASKS, box_mean, contrast, largest_channel, largest_difference
+from splatpainter.order_statistics import median
 from splatpainter.pictures.encodings import busiest, detailed, few_colors
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -411,7 +412,7 @@ def _graded(view: SmallView) -> Explanation | None:
         is_grey = np.abs(glaze - MISTAKES.middle_grey).max() <= MISTAKES.max_off_mean
         return Explanation("look", GREYED_WORDS if is_grey else GRADED_WORDS, view.agreeing, 1.0)
     # Noise, or one flat colour over the asset: paint, though a (constant) function explains it.
-    if np.median(changed) < COPIES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
+    if median(changed) < COPIES.max_difference or contrast_ratio < MISTAKES.min_tone_contrast:
         return None
     from splatpainter.gatekeeper.color_drift import expected_tone  # few pictures come so far
 
@@ -434,7 +435,7 @@ def _graded_under_paint(view: SmallView, nothing_left: bool) -> Explanation | No
     anything is as it was rendered, which dark parts of a graded asset may be."""
     solid = view.solid
     changed = largest_channel(np.abs(box_mean(view.picture - view.render, MISTAKES.tone_px)))[solid]
-    middle = float(np.median(changed)) if len(changed) else 0.0
+    middle = float(median(changed)) if len(changed) else 0.0
     slight = MISTAKES.min_slight <= middle < COPIES.max_difference
     # A grade changes all of the background or nothing of it.
     on_asset = view.paint_is_on_asset
@@ -473,7 +474,7 @@ def _background_too(view: SmallView) -> bool:
         return False
     from splatpainter.gatekeeper.color_drift import estimate_drift
 
-    before, after = (np.median(image[view.bare], axis=0) for image in (view.render, view.picture))
+    before, after = (median(image[view.bare]) for image in (view.render, view.picture))
     drift = estimate_drift(view.picture, view.render, view.solid, certain=True)
     return drift.kind != "none" and bool(np.abs(drift.corrected(after) - before).max() <= COPIES.max_difference)
 

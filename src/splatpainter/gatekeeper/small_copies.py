@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
+from splatpainter.order_statistics import median
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -164,7 +165,7 @@ class SmallView:
     def background_change(self) -> float:
         """By how much most of the bare background changed, display values; 0 where there is none."""
         change = (self.picture - self.render)[self.bare]
-        return float(np.abs(np.median(change, axis=0)).max()) if len(change) else 0.0
+        return float(np.abs(median(change)).max()) if len(change) else 0.0
 
     @property
     def background_changed(self) -> bool:
@@ -178,7 +179,7 @@ class SmallView:
         change = (self.picture - self.render)[self.bare]
         if not len(change):
             return True
-        near = largest_channel(np.abs(change - np.median(change, axis=0))) <= COPIES.max_unchanged
+        near = largest_channel(np.abs(change - median(change))) <= COPIES.max_unchanged
         return bool(near.mean() >= COPIES.min_uniform)
 
     @property
@@ -198,7 +199,7 @@ class SmallView:
         if bare.mean() < COPIES.min_bare_share:
             return False
         # The render's bare pixels say what the background is, whatever colour it has.
-        background = np.median(self.render[bare], axis=0)
+        background = median(self.render[bare])
         solid = self.solid
         empty, before = (
             largest_channel(np.abs(image - background)) <= COPIES.max_unchanged for image in (self.picture, self.render)

@@ -109,7 +109,7 @@ def check_not_foreign(head: bytes, path: Path) -> None:
             raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
     letters = len(text) - len(text.translate(None, string.ascii_letters.encode()))
     is_json = text.startswith((b'{"', b"[{")) and len(text) > MIN_LETTERS
-    is_short = len(head) < MIN_ROW and letters and ending in SPLAT_ENDINGS
+    is_short = len(head) < MIN_ROW and letters and ending in SPLAT_ENDINGS and not text.startswith(b"ply")
     if (letters >= MIN_LETTERS or is_json or is_short) and ending != ".json" and _PRINTABLE.issuperset(text):
         remedy = "save it as .glb" if is_json and b'"asset"' in text else DOWNLOAD
         raise ValueError(f"{path}: is a text {text[:40].decode('ascii')!r}, not a splat file; {remedy}")
