@@ -154,12 +154,27 @@ def tone_change(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) 
     return float(np.abs(picture - render)[reference].mean(0).max())
 
 
-def expected_tone(
-    picture: np.ndarray, render: np.ndarray, reference: np.ndarray, painted: bool = False
-) -> np.ndarray | None:
-    """[H, W, 3] what one smooth function of colour makes of a render [H, W, 3], where it explains the pixels
-    `reference` [H, W] bool of a picture [H, W, 3] over it; None where something else changed, too. painted: that is the
-    caller's to judge.
+def expected_tone(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) -> np.ndarray | None:
+    """[H, W, 3] as `likeliest_tone`, where it explains the pixels `reference`; None where something else changed,
+    too."""
+    expected = likeliest_tone(picture, render, reference)
+    if expected is None:
+        return None
+    # Means over 3 x 3 pixels: compression averages out, a repainted patch does not.
+    left = largest_channel(np.abs(box_mean((picture - expected) * reference[..., None], 1))) > DRIFT.max_tone_error
+    left &= reference
+    if (
+        left.sum() > (1 - DRIFT.min_toned) * reference.sum()
+        or (box_mean(left, DRIFT.painted_px) > DRIFT.painted_share).any()
+    ):
+        return None
+    return expected
+
+
+def likeliest_tone(picture: np.ndarray, render: np.ndarray, reference: np.ndarray) -> np.ndarray | None:
+    """[H, W, 3] what one smooth function of colour makes of a render [H, W, 3]: the one that explains most of the
+    pixels `reference` [H, W] bool of a picture [H, W, 3] over it, some of which may be painted over. None where too few
+    say.
 
     The function is a cubic polynomial of the display colours (curves, exposure, balance, hue, saturation); what it
     clips may be clipped in the picture."""
@@ -180,18 +195,7 @@ def expected_tone(
         distance = np.linalg.norm(matmul(source, coefficients) - target, axis=1)
         spread = max(float(np.median(distance)), DRIFT.min_spread)
         share = np.maximum(1 - (distance / (DRIFT.tukey * spread)) ** 2, 0) ** 2
-    expected = np.clip(matmul(_powers(render.reshape(-1, 3)), coefficients), 0, 1).reshape(render.shape)
-    if painted:
-        return expected
-    # Means over 3 x 3 pixels: compression averages out, a repainted patch does not.
-    left = largest_channel(np.abs(box_mean((picture - expected) * reference[..., None], 1))) > DRIFT.max_tone_error
-    left &= reference
-    if (
-        left.sum() > (1 - DRIFT.min_toned) * reference.sum()
-        or (box_mean(left, DRIFT.painted_px) > DRIFT.painted_share).any()
-    ):
-        return None
-    return expected
+    return np.clip(matmul(_powers(render.reshape(-1, 3)), coefficients), 0, 1).reshape(render.shape)
 
 
 def _powers(colors: np.ndarray) -> np.ndarray:

@@ -441,9 +441,9 @@ def _graded_under_paint(view: SmallView, nothing_left: bool) -> Explanation | No
     on_asset = view.paint_is_on_asset
     if not (nothing_left or slight or view.background_changed) or not (on_asset or view.background_changed):
         return None
-    from splatpainter.gatekeeper.color_drift import expected_tone  # few pictures come so far
+    from splatpainter.gatekeeper.color_drift import likeliest_tone  # few pictures come so far
 
-    expected = expected_tone(view.picture, view.render, solid, painted=True)
+    expected = likeliest_tone(view.picture, view.render, solid)
     if expected is None:
         return None
     # Up to there nothing would count as painted.

@@ -37,8 +37,6 @@ MismatchPolicy = Literal["refuse", "correct", "force"]
 USUAL_REASONS = "recompressed, another gamma or profile, mirrored, another asset, other axes or another camera"
 NEVER_MEANT = ("turned", "axes", "other")
 """Causes that are no look of an asset, and no paint under a mask."""
-LOOKS = ("colors", "tone", "shade")
-"""Causes that may be a look of the asset."""
 OTHER_AXES = (
     ("of the asset with its axes read another way (try --in-axes rub or --in-axes rdf)", np.diag([1.0, -1.0, -1.0])),
     ("of the asset turned by a quarter (z up in place of y)", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
@@ -99,7 +97,7 @@ def checked_picture(
 
     explanation = why(view)
     # A grade changes the background, too: that is no ground of another program's.
-    if on_ground[1] is not view and (explanation is None or explanation.cause not in LOOKS):
+    if on_ground[1] is not view and (explanation is None or not explanation.is_grade):
         source, view = on_ground
         explanation = why(view)
     if policy == "correct":
@@ -145,7 +143,7 @@ def _complaint(source: PictureFile, explanation: Explanation) -> str:
 
 def _advice(explanation: Explanation) -> str:
     ways = ["--mask M.png says what was painted"]
-    if explanation.cause in LOOKS:
+    if explanation.is_grade:
         ways.insert(0, "--mode global takes it as a look of the whole asset")
     # A grade of the asset alone is taken back by no mistake.
     if explanation.cause not in ("axes", "other", "filter") and (explanation.cause != "tone" or explanation.mistake):

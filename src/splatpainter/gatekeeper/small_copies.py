@@ -114,6 +114,11 @@ class Explanation:
         partial = spares != "nothing" and (spares == "background" or self.reach < COPIES.min_reach)
         return self.cause in ("look", "detail") or partial
 
+    @property
+    def is_grade(self) -> bool:
+        """Whether it changed colours all over, as a look of the whole asset does."""
+        return self.cause in ("colors", "tone", "shade")
+
 
 @dataclass(frozen=True)
 class SmallView:

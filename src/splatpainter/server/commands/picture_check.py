@@ -16,7 +16,6 @@ from splatpainter.color import to_display
 from splatpainter.gatekeeper.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
 from splatpainter.gatekeeper.mistaken_pictures import explain
 from splatpainter.gatekeeper.photographs import carries_camera, laid_over, photograph_edit
-from splatpainter.gatekeeper.picture_gate import LOOKS
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.pictures.edit_files import over_render, unmultiplied
 from splatpainter.pictures.encodings import edited_in_encoded
@@ -189,7 +188,7 @@ def _on_the_views_ground(context: CommandContext, placed: _Placed, picture: Pict
         return placed
     # A grade changes the background, too: that is no ground of another program's.
     explanation = explain(placed.colors, placed.render, cover)
-    if explanation is not None and explanation.cause in LOOKS:
+    if explanation is not None and explanation.is_grade:
         return placed
     return replace(placed, colors=colors, notes=[*placed.notes, GROUND_NOTE])
 
