@@ -15,6 +15,7 @@ HEAD_BYTES = 512
 EXPORT_ADVICE = "export the splats from it (nerfstudio: ns-export gaussian-splat; gsplat: --save_ply)"
 DOWNLOAD = "download the file itself (on GitHub and Hugging Face: raw, or download)"
 SPLATS = "expected Gaussian splats"
+USD_SCENE = ("a USD scene", "save its splats as .ply or .spz")
 FILM_ADVICE = "render frames of it and train an asset from them"
 _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"version https://git-lfs", "a git-LFS pointer", "run `git lfs pull` in its folder to get the file itself"),
@@ -35,8 +36,8 @@ _MAGIC: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"\x93NUMPY", "an array of numpy", "save it as .ply (sp.write)"),
     (0, b"LASF", "a point cloud (LAS, LAZ)", "train Gaussians from pictures of it"),
     (0, b"ASTM-E57", "a point cloud (E57)", "train Gaussians from pictures of it"),
-    (0, b"#usda ", "a USD scene", "save its splats as .ply or .spz"),
-    (0, b"PXR-USDC", "a USD scene", "save its splats as .ply or .spz"),
+    (0, b"#usda ", *USD_SCENE),
+    (0, b"PXR-USDC", *USD_SCENE),
     (0, b"SQLite format 3\x00", "a database (a .splatproj project?)", "open projects with `splatpainter studio`"),
     (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", "unpack it first"),
     (0, b"Rar!\x1a\x07", "a RAR archive", "unpack it first"),
@@ -71,7 +72,7 @@ EXPORTS = (
     (".spx", "a scene of Reall3D (.spx)", "convert it there to .ply or .spz"),
     (".safetensors", "weights (safetensors)", "save its splats as .ply"),
     (".blend", "a scene of Blender", "export its splats as .ply"),
-    *((ending, "a USD scene", "save its splats as .ply or .spz") for ending in (".usd", ".usda", ".usdc", ".usdz")),
+    *((ending, *USD_SCENE) for ending in (".usd", ".usda", ".usdc", ".usdz")),
     *((ending, "a checkpoint of a trainer", EXPORT_ADVICE) for ending in (".pt", ".pth", ".ckpt", ".pkl")),
 )
 """(ending, what it is, what to do) of files whose bytes do not say so."""

@@ -20,7 +20,7 @@ from typing import Any
 from splatpainter.io import files
 from splatpainter.io.bounded import allow, inflate, zip_directory
 from splatpainter.io.folders import inside
-from splatpainter.io.foreign_files import EXPORT_ADVICE
+from splatpainter.io.foreign_files import EXPORT_ADVICE, SPLATS, USD_SCENE
 from splatpainter.system import jsonio
 from splatpainter.system.jsonio import brief
 from splatpainter.system.quick_dataclass import dataclass
@@ -29,10 +29,8 @@ META = "meta.json"
 OTHER_ZIPS = (
     ("/data.pkl", "a checkpoint of a trainer", EXPORT_ADVICE),
     (".npy", "arrays of numpy (npz)", "save them as .ply (sp.write)"),
-    (".usdc", "a USD scene", "save its splats as .ply or .spz"),
-    (".usda", "a USD scene", "save its splats as .ply or .spz"),
-    (".usd", "a USD scene", "save its splats as .ply or .spz"),
-    ("/mergedimage.png", "a picture in layers", "expected Gaussian splats"),
+    *((ending, *USD_SCENE) for ending in (".usdc", ".usda", ".usd")),
+    ("/mergedimage.png", "a picture in layers", SPLATS),
 )
 """(ending of a name inside, what such a zip is, what to do)."""
 LOD_META = "lod-meta.json"
