@@ -398,13 +398,13 @@ def _unpack_torch(data: bytes) -> dict[str, torch.Tensor]:
         raise ValueError(error) from None
 
 
-_STORED = {"F32": "<f4", "F64": "<f8", "F16": "<f2", "I64": "<i8", "I32": "<i4", "U8": "u1"}
-"""Names of safetensors' number types -> numpy's."""
+_STORED = {"F32": "<f4", "F64": "<f8", "F16": "<f2", "BF16": "<u2", "I64": "<i8", "I32": "<i4", "U8": "u1"}
+"""Names of safetensors' number types -> numpy's; it has no bfloat16, which is the upper half of a float32."""
 
 
 def _unpack_numpy(data: bytes) -> dict[str, np.ndarray]:
     """As safetensors.numpy.load, whose package has wheels of no free-threaded Python: what the core reads is little.
-    Raises ValueError for anything else than the format of https://huggingface.co/docs/safetensors."""
+    bfloat16 becomes float32. Raises ValueError for anything else than the format of https://huggingface.co/docs/safetensors."""
     import numpy as np
 
     # Bytes of the table as a u64, the table as JSON, then the numbers that its offsets count from there.
@@ -417,7 +417,11 @@ def _unpack_numpy(data: bytes) -> dict[str, np.ndarray]:
             first, end = entry["data_offsets"]
             if not 0 <= first <= end <= len(data) - start:
                 raise ValueError(f"the numbers of '{name}' are cut off")
-            numbers = np.frombuffer(data[start + first : start + end], _STORED[entry["dtype"]])
+            if (kind := entry["dtype"]) not in _STORED:
+                raise ValueError(f"expected numbers of {', '.join(_STORED)}, got {kind} in '{name}'")
+            numbers = np.frombuffer(data[start + first : start + end], _STORED[kind])
+            if kind == "BF16":
+                numbers = (numbers.astype(np.uint32) << 16).view(np.float32)
             arrays[name] = numbers.reshape(entry["shape"])
     except (AttributeError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"its table is damaged: {error!r}") from None
