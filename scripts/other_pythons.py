@@ -124,16 +124,16 @@ class Python:
 
 def made(interpreter: str, number: int, folder: Path, wheel: Path | None) -> Python:
     """A venv of that interpreter with the wheel; None: the interpreter as it is. Raises CalledProcessError."""
-    own = folder / str(number)
-    own.mkdir(parents=True, exist_ok=True)
+    place = folder / str(number)
+    place.mkdir(parents=True, exist_ok=True)
     command = tuple(shlex.split(interpreter))
     if wheel is None:
-        return Python(interpreter, command, own)
-    venv = own / "venv"
+        return Python(interpreter, command, place)
+    venv = place / "venv"
     subprocess.run([*command, "-m", "venv", str(venv)], check=True)
     python = venv / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     # What comes before the interpreter stays: what enters another root, or emulates another machine.
-    found = Python(interpreter, (*command[:-1], str(python)), own)
+    found = Python(interpreter, (*command[:-1], str(python)), place)
     # Rather an older numpy than one to be compiled: newer ones have no wheels of free-threaded 3.13.
     pip = [*found.command, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--prefer-binary"]
     subprocess.run([*pip, f"{wheel}[batch]"], check=True)
