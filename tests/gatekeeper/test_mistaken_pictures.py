@@ -520,6 +520,10 @@ def test_what_rounds_or_recolours_by_colour_is_no_grade() -> None:
     most = VIEW + top(0.9) * (np.clip(VIEW * np.array([1.1, 1, 0.9]), 0, 1) - VIEW)
     for picture in (dabbed + 1 / 255, dabbed * (1 - 2.4 / 255), np.where(reds, VIEW[..., ::-1], VIEW), most):
         assert explain(eight_bits(np.asarray(picture)), VIEW, ALPHA) is None
+    # Stripes of two grades are no function of colour: painted by hand.
+    in_first = (np.arange(VIEW.shape[1]) // 24 % 2 == 0)[:, None]
+    explanation = explain(on_the_asset(np.clip(VIEW * np.where(in_first, 1.3, 0.8), 0, 1)), VIEW, ALPHA)
+    assert explanation is not None and explanation.may_be_meant
 
 
 def test_another_asset_of_the_very_outline_is_named() -> None:

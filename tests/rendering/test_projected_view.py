@@ -55,6 +55,26 @@ def test_accumulate_is_the_sum_over_the_references_weights(splats):
     assert (sums.weight <= sums.alpha + 1e-12).all()
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_heaviest_gaussian_is_the_references_in_the_drawn_tiles(dtype: type[np.floating]):
+    camera = cameras(150, 110)[0]
+    splats = with_odd_gaussians(scene(300, seed=4, dtype=dtype))
+    alpha, _, _, ids = (part.numpy() for part in reference.project(splats.torch(dtype=torch.float64), camera))
+    weight = reference.composite(torch.tensor(alpha))[0].numpy().reshape(len(ids), 110, 150)
+    first, second = np.sort(weight, axis=0)[[-1, -2]]
+    expected = np.where(first > 0, ids[weight.argmax(0)], -1)
+    clear = (first > second + 1e-4) | (first == 0)  # the others are decided by the last bits
+    for tiles in (np.ones(tile_shape(camera), bool), np.zeros(tile_shape(camera), bool)):
+        if not tiles.any():
+            tiles[2:4, 3:7] = True  # off the middle, on no diagonal
+        drawn = pixels_of(tiles, 110, 150)
+        heaviest = project(splats, camera, tiles=tiles).heaviest_gaussians()
+        assert (heaviest[drawn & clear] == expected[drawn & clear]).all() and (
+            drawn & clear & (expected >= 0)
+        ).sum() > 500
+        assert (heaviest[~drawn] == -1).all()
+
+
 @pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
 def test_two_masks_in_one_walk_are_two_walks(share: float):
     splats, camera = with_odd_gaussians(scene(300, seed=4, dtype=np.float32)), cameras(150, 110)[0]

@@ -367,7 +367,7 @@ class ProjectedView:
 
     def heaviest_gaussians(self, profile: Profile = "inria") -> Ids:
         """[H, W] int64: the Gaussian with the largest weight w = alpha T in each pixel, of equal ones the front one; -1
-        where nothing is drawn. All tiles are to be drawn."""
+        where nothing is drawn, as in tiles that are not."""
         entries = np.full((self.camera.height, self.camera.width), -1, np.int32)
         lists = (self.projected, self.flatten_ids, self.tile_ids, self.isect_offsets)
         run(kernels.heaviest_tiles, *lists, entries, _profile_number(profile))
