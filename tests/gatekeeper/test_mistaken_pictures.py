@@ -23,23 +23,10 @@ from splatpainter.lift.masks import box_mean, contrast, dilated
 from splatpainter.pictures.edit_files import draw
 from splatpainter.sources.picture_source import PictureRequest
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
+from tests.support.drawn_views import ALPHA, VIEW, decoded, eight_bits, encoded, on_the_asset, over, top
 
-VIEW, ALPHA = drawn_scene(240)
 OTHER_VIEW = drawn_scene(240, seed=5)[0]
 RNG = np.random.default_rng(3)
-
-
-def decoded(colors: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, written out."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
-
-
-def encoded(light: np.ndarray) -> np.ndarray:
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
-
-
-def eight_bits(colors: np.ndarray) -> np.ndarray:
-    return (np.round(np.clip(colors, 0, 1) * 255) / 255).astype(np.float32)
 
 
 def grey_by_pillow(colors: np.ndarray) -> np.ndarray:
@@ -95,14 +82,6 @@ def test_a_mistake_is_named_under_paint() -> None:
     assert explanation is not None and "left to right" in explanation.words
 
 
-def top(share: float) -> np.ndarray:
-    """[H, W, 1] the upper part of the asset, so much of it."""
-    order = np.flatnonzero(ALPHA.ravel() > 0.5)
-    mask = np.zeros(ALPHA.size, np.float32)
-    mask[order[: round(share * len(order))]] = 1
-    return mask.reshape(*ALPHA.shape, 1)
-
-
 def confetti() -> np.ndarray:
     tiles = RNG.uniform(size=(20, 20, 3)).astype(np.float32)
     return tiles.repeat(12, 0).repeat(12, 1)
@@ -141,10 +120,6 @@ PAINT: dict[str, Callable[[], np.ndarray]] = {
     ),
     "nothing, poor JPEG": lambda: jpeg(VIEW, 40),
 }
-
-
-def over(mask: np.ndarray, color: tuple[float, float, float], opacity: float = 1.0) -> np.ndarray:
-    return VIEW + opacity * mask * (np.array(color) - VIEW)
 
 
 @pytest.mark.parametrize("made", PAINT.values(), ids=PAINT)
@@ -440,90 +415,6 @@ def test_a_negative_of_the_asset_alone_is_no_glaze() -> None:
 def test_a_dark_glaze_in_the_background_s_colour_is_no_other_asset() -> None:
     explanation = explain(on_the_asset(VIEW + 0.7 * (0.25 - VIEW)), VIEW, ALPHA)
     assert explanation is not None and explanation.cause == "look" and "glazed" in explanation.words
-
-
-def on_the_asset(graded: np.ndarray) -> np.ndarray:
-    return eight_bits(np.where(ALPHA[..., None] > 0, graded, VIEW))
-
-
-@pytest.mark.parametrize("gain", [0.5, 0.7])
-@pytest.mark.parametrize("channels", ["each its own", "all one"])
-def test_lower_contrast_of_the_asset_alone_is_a_mistake(gain: float, channels: str) -> None:
-    """About the asset's own mean, as sliders of contrast have it: no glaze, whose colour somebody chose."""
-    mean = VIEW[ALPHA > 0.5].mean(0)
-    middle = mean if channels == "each its own" else np.full(3, float(mean @ np.array([0.2126, 0.7152, 0.0722])))
-    explanation = explain(on_the_asset(middle + gain * (VIEW - middle)), VIEW, ALPHA)
-    assert explanation is not None and not explanation.may_be_meant and "lower contrast" in explanation.words
-    # A glaze of another grey may be meant.
-    glazed = explain(on_the_asset(middle + 0.08 + gain * (VIEW - middle - 0.08)), VIEW, ALPHA)
-    assert glazed is not None and glazed.cause == "look"
-
-
-def test_lower_contrast_about_middle_grey_is_named_beside_the_glaze_that_it_may_be() -> None:
-    """No word of it said contrast."""
-    explanation = explain(on_the_asset(0.5 + 0.5 * (VIEW - 0.5)), VIEW, ALPHA)
-    assert explanation is not None and explanation.words.startswith("of lower contrast, or glazed with middle grey")
-    other = explain(on_the_asset(0.4 + 0.5 * (VIEW - 0.4)), VIEW, ALPHA)
-    assert other is not None and "contrast" not in other.words
-
-
-@pytest.mark.parametrize("color", [(0.7, 0.2, 0.1), (0.1, 0.3, 0.8), (0.5, 0.5, 0.5)])
-@pytest.mark.parametrize("opacity", [0.3, 0.5])
-def test_a_color_laid_over_all_of_the_asset_may_be_meant(color: tuple[float, float, float], opacity: float) -> None:
-    glazed = VIEW + opacity * (np.array(color) - VIEW)
-    explanation = explain(on_the_asset(glazed), VIEW, ALPHA)
-    assert explanation is not None and explanation.cause == "look"
-
-
-@pytest.mark.parametrize(
-    "graded",
-    [
-        0.5 + 0.5 * np.tanh(3 * (VIEW - 0.5)) / np.tanh(1.5),
-        VIEW * np.array([1.15, 1, 0.75]),
-        VIEW**1.3,
-        np.clip(1.19 * VIEW, 0, 1),
-    ],
-    ids=["contrast curve", "warmer", "gamma", "half a stop"],
-)
-def test_a_grade_that_spares_the_background_is_a_mistake(graded: np.ndarray) -> None:
-    """In mode local it would paint the one side that the picture shows."""
-    explanation = explain(on_the_asset(graded), VIEW, ALPHA)
-    assert explanation is not None and explanation.cause == "tone" and "graded as a whole" in explanation.words
-
-
-GRADES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "exposure": lambda p: encoded(1.3 * decoded(p)),
-    "white balance": lambda p: encoded(decoded(p) * np.array([1.25, 1, 0.7])),
-    "contrast curve": lambda p: 0.5 + 0.5 * np.tanh(3 * (p - 0.5)) / np.tanh(1.5),
-    "slight": lambda p: p * np.array([1.04, 1, 0.96]),
-}
-
-
-@pytest.mark.parametrize("name", GRADES)
-def test_a_grade_under_paint_is_named(name: str) -> None:
-    """It would have been painted onto the one side that the picture shows, along with the dab."""
-    graded = np.array(GRADES[name](VIEW))
-    slight = explain(eight_bits(graded), VIEW, ALPHA)
-    assert slight is not None and not slight.may_be_meant
-    graded[90:130, 90:120] = (0.1, 0.6, 0.2)
-    explanation = explain(eight_bits(graded), VIEW, ALPHA)
-    assert explanation is not None and explanation.cause == "tone" and "graded as a whole" in explanation.words
-    # Of the asset alone it may be a large brush that multiplies.
-    explanation = explain(on_the_asset(graded), VIEW, ALPHA)
-    assert explanation is not None and (explanation.cause == "tone" or name == "white balance")
-
-
-def test_what_rounds_or_recolours_by_colour_is_no_grade() -> None:
-    """A level more or less everywhere; one colour of the asset replaced by another; a grade of nine tenths of it."""
-    dabbed = over(np.hypot(*np.mgrid[-120:120, -120:120])[..., None] < 20, (0.9, 0.1, 0.1))
-    reds = (VIEW[..., :1] > VIEW[..., 2:]) & (ALPHA[..., None] > 0.02)
-    most = VIEW + top(0.9) * (np.clip(VIEW * np.array([1.1, 1, 0.9]), 0, 1) - VIEW)
-    for picture in (dabbed + 1 / 255, dabbed * (1 - 2.4 / 255), np.where(reds, VIEW[..., ::-1], VIEW), most):
-        assert explain(eight_bits(np.asarray(picture)), VIEW, ALPHA) is None
-    # Stripes of two grades are no function of colour: painted by hand.
-    in_first = (np.arange(VIEW.shape[1]) // 24 % 2 == 0)[:, None]
-    explanation = explain(on_the_asset(np.clip(VIEW * np.where(in_first, 1.3, 0.8), 0, 1)), VIEW, ALPHA)
-    assert explanation is not None and explanation.may_be_meant
 
 
 def test_another_asset_of_the_very_outline_is_named() -> None:
