@@ -59,8 +59,8 @@ def test_a_light_is_a_layer_whose_gestures_are_steps(opened: tuple[studio_scenes
     slider.press("Enter")
     page.wait("half of it", lambda: page.state()["layers"][0]["opacity"] == 0.5)
     page.tab.get_by_role("button", name="Before: hide this light").click()
+    page.wait("a step of it", lambda: len(page.state()["history"]) == count + 4)
     page.wait("the captured light", lambda: np.array_equal(page.pixels(), first))
-    assert len(page.state()["history"]) == count + 4
     for _ in range(3):
         page.tab.keyboard.press("Control+z")
     page.wait("the sun where it was", lambda: options()["sun"] == start)

@@ -15,7 +15,7 @@ from splatpainter.io import write
 from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
 from tests.support import studio_scenes
-from tests.support.studio_pages import ROWS_IN_VIEW, Page, opened_page
+from tests.support.studio_pages import LATE, ROWS_IN_VIEW, Page, opened_page
 
 TOO_SMALL = """() => {
   const controls = document.querySelectorAll("button, select, input:not([hidden]), summary, [role=tab]");
@@ -30,17 +30,6 @@ TOO_SMALL = """() => {
 BOX = "(name) => { const { x, y, width, height } = document.querySelector(name).getBoundingClientRect(); " + (
     "return [x, y, width, height]; }"
 )
-
-LATE_WORDS = """(() => {
-  const Real = window.WebSocket;
-  window.WebSocket = class extends Real {
-    set onmessage(take) {
-      const late = (message) => setTimeout(() => take(message), 700);
-      super.onmessage = (message) => (typeof message.data === "string" ? late : take)(message);
-    }
-  };
-})()"""
-"""Every message but Gaussians comes later, in the order in which it was sent."""
 
 
 @pytest.fixture
@@ -225,7 +214,7 @@ def test_a_lost_view_leaves_a_card_and_comes_back(opened: tuple[studio_scenes.Li
 def test_gaussians_that_come_long_before_the_greeting(browser: Any, tmp_path: Path) -> None:
     with studio_scenes.live(studio_scenes.make_studio(tmp_path)) as live:
         tab = browser.new_page()
-        tab.add_init_script(LATE_WORDS)
+        tab.add_init_script(f"({LATE})([700, 0])")
         page = Page(browser, live.url, tab=tab)
         assert page.pixels().std() > 0.01, "the ball is drawn"
         page.tab.keyboard.press("b")

@@ -149,6 +149,33 @@ FROM_THE_START = """resolution => {
 }"""
 """Of each page that a tab loads: chosen before anything is drawn. The first pictures at the page's resolution were two
 thirds of SwiftShader's time to open a page."""
+LATE = """([words, pictures, sent = 0]) => {
+  if (window.comesLate) return;
+  window.comesLate = true;
+  const Real = window.WebSocket;
+  window.WebSocket = class extends Real {
+    get onmessage() {
+      return this.take;
+    }
+    set onmessage(take) {
+      this.take = take;
+      super.onmessage = (message) => {
+        const wait = typeof message.data === "string" ? words : pictures;
+        if (wait > 0) setTimeout(() => take(message), wait);
+        else take(message);
+      };
+    }
+    send(message) {
+      if (sent > 0) setTimeout(() => super.send(message), sent);
+      else super.send(message);
+    }
+  };
+}"""
+"""[words, pictures, sent], milliseconds: what the server says and draws reaches the page later, each kind in its own
+order, and what the page sends reaches the server later: what busy machines do by chance."""
+LATE_VARIABLE = "SPLATPAINTER_LATE"
+"""Environment variable: "WORDS,PICTURES,SENT", milliseconds as of LATE, for every page. A test that fails with it
+has not waited for what it reads."""
 POINTER = """([type, id, kind, x, y, pressure]) => {
   const stage = document.getElementById("stage");
   const box = stage.getBoundingClientRect();
@@ -192,6 +219,8 @@ class Page:
         self.url = url
         self.resolution = resolution
         self.tab.add_init_script(f"({FROM_THE_START % SET_RESOLUTION})({json.dumps(resolution)})")
+        if late := os.environ.get(LATE_VARIABLE):
+            self.tab.add_init_script(f"({LATE})({json.dumps([float(one) for one in late.split(',')])})")
         self.open()
 
     def hear(self, message: Any) -> None:
