@@ -166,7 +166,7 @@ LATE = """([words, pictures, sent = 0]) => {
       };
     }
     send(message) {
-      if (sent > 0) setTimeout(() => super.send(message), sent);
+      if (sent > 0) setTimeout(() => this.readyState === Real.OPEN && super.send(message), sent);
       else super.send(message);
     }
   };
