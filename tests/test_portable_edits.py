@@ -20,11 +20,13 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "splatpainter"
 FOLDERS = (
     *("lift", "lights", "spread", "surface", "voxels", "rendering/cpu", "kernels"),
     *("grading", "holes", "io/formats", "operations", "session/document", "session/kinds", "session/replay"),
-    *("session/selection", "gatekeeper"),
+    *("session/selection", "session/measures", "session/commands", "gatekeeper"),
+    *("captures", "decals", "pictures", "scene", "source_edits", "painting", "video", "server/strokes"),
 )
 FILES = (
     *("splats.py", "cameras.py", "transforms.py", "color.py", "lighting.py", "painter.py"),
     *("io/axes.py", "models/apply_edit.py", "models/stored_predictor.py", "models/gaussian_facts.py"),
+    *("view_files.py", "commands/demo.py", "commands/parts/demo_paint.py", "server/commands/relief.py"),
 )
 FUNCTIONS = {
     *("dot", "vdot", "inner", "matmul", "tensordot", "einsum", "interp", "correlate", "convolve", "polyfit"),
@@ -35,7 +37,11 @@ FUNCTIONS = {
 MATH = {"exp", "log", "log2", "log10", "pow", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "hypot"}
 EXCEPTIONS = {
     "io/formats/codebooks.py: @": "which entry of a lossy palette is nearest: a BLAS takes a tenth of the time",
+    "color.py: **": "tensors alone",
+    "grading/cube_lut.py: **": "whole numbers",
+    "io/axes.py: **": "of 1 and -1",
     "io/formats/sog.py: math.log": "tolerances",
+    "voxels/raycast.py: **": "whole numbers",
     "gatekeeper/color_drift.py: math.log2": "receipts",
     "gatekeeper/color_drift.py: np.log2": "receipts, and limits of what is refused",
     "cameras.py: @": "tensors alone",
@@ -49,6 +55,8 @@ def dependent(tree: ast.AST) -> list[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
             seen.append("@")
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and not is_exact(node):
+            seen.append("**")
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         owner, name = ast.unparse(node.func.value), node.func.attr
@@ -60,6 +68,14 @@ def dependent(tree: ast.AST) -> list[str]:
         elif owner == "np" and name in ("argsort", "argpartition") and "kind" not in keywords:
             seen.append(f"np.{name}")
     return seen
+
+
+def is_exact(power: ast.BinOp) -> bool:
+    """Powers of a written number, squares, integer powers of a name: of arrays numpy has only squares of its own."""
+    match power.left, power.right:
+        case (ast.Constant(), _) | (_, ast.Constant(value=2)) | (ast.Name(), ast.Constant(value=int())):
+            return True
+    return False
 
 
 def paths() -> list[Path]:
@@ -75,10 +91,11 @@ def test_no_bits_depend_on_the_machine(path: Path):
 
 
 def test_what_depends_on_the_machine_is_seen():
-    text = (
-        "np.exp(x)\na @ b\nnp.linalg.norm(x)\nnp.linalg.norm(x, axis=1)\nnp.argsort(x)\nnp.argsort(x, kind='stable')\n"
-    )
-    assert sorted(dependent(ast.parse(text))) == ["@", "np.argsort", "np.exp", "np.linalg.norm"]
+    dependent_lines = ["x**0.4", "x[i] ** 3", "np.exp(x)", "a @ b", "np.linalg.norm(x)", "np.argsort(x)"]
+    exact = ["x**2", "2**x", "np.linalg.norm(x, axis=1)", "np.argsort(x, kind='stable')"]
+    assert dependent(ast.parse("\n".join(exact))) == []
+    seen = [dependent(ast.parse(line)) for line in dependent_lines]
+    assert seen == [["**"], ["**"], ["np.exp"], ["@"], ["np.linalg.norm"], ["np.argsort"]]
 
 
 def test_files_fills_and_matches_have_the_same_bytes_with_another_numpy_and_blas():
@@ -96,7 +113,7 @@ def test_files_fills_and_matches_have_the_same_bytes_with_another_numpy_and_blas
         return done.stdout
 
     here = hashes({})
-    assert len(here.splitlines()) == 10
+    assert len(here.splitlines()) == 11
     assert hashes(older) == here
     assert hashes(single) == here
 

@@ -84,7 +84,7 @@ class Camera:
         if self.offset is None:
             return replace(self, offset=offset)
         matrix = self.world_to_camera.copy()
-        matrix[:3, 3] += matrix[:3, :3] @ (np.array(offset) - np.array(self.offset))
+        matrix[:3, 3] += portable.matmul(matrix[:3, :3], np.array(offset) - np.array(self.offset))
         return replace(self, world_to_camera=matrix, offset=offset)
 
     def within(self, offset: tuple[float, float, float]) -> Camera:

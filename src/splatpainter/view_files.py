@@ -27,6 +27,7 @@ from splatpainter.image_files import (
     quantized,
     require_deep,
 )
+from splatpainter.kernels.portable import matmul
 from splatpainter.lift.depth_normals import outward_normals
 from splatpainter.pictures.picture_reader import unpremultiplied
 from splatpainter.rendering import render
@@ -124,7 +125,7 @@ def draw_passes(
         ys, xs = ys[trusted], xs[trusted]
         depth[ys, xs] = seen.depth[trusted]
         if normal is not None:
-            normal[ys, xs] = seen.normals[trusted] @ camera.world_to_camera[:3, :3]
+            normal[ys, xs] = matmul(seen.normals[trusted], camera.world_to_camera[:3, :3])
     if "gaussian-ids" in aovs:
         gaussian_ids = view.heaviest_gaussians(profile)
     if "coverage" in aovs and coverage is not None:

@@ -16,6 +16,8 @@ from tests.support.kernel_goldens import CPUS, Numbers, check
         ((7, 3), (3, 3)),
         ((4, 5, 3), (3, 3)),
         ((3,), (3, 2)),
+        ((7, 3), (3,)),
+        ((4, 5, 3), (3,)),
         ((6, 3, 3), (6, 3, 3)),
         ((3, 3), (6, 3, 2)),
         ((6, 4, 5), (5, 7)),
@@ -64,6 +66,30 @@ def test_least_squares_are_numpys(size: int):
     np.testing.assert_allclose(portable.solved(gram, product), np.linalg.solve(gram, product), atol=1e-12)
     np.testing.assert_allclose(portable.solved(gram, np.eye(size)), np.linalg.inv(gram), atol=1e-12)
     assert portable.log_determinant(gram) == pytest.approx(np.linalg.slogdet(gram)[1], rel=1e-12)
+
+
+def test_axes_of_symmetric_matrices_are_numpys() -> None:
+    """Of round, flat and long ones, and of those whose values are equal."""
+    rng = np.random.default_rng(4)
+    points = rng.normal(size=(500, 9, 3)) * 10 ** rng.uniform(-4, 0, (500, 1, 3))
+    turned = np.linalg.qr(rng.normal(size=(500, 3, 3)))[0]
+    matrices = np.einsum("npi,npj,nik,njl->nkl", points, points, turned, turned)
+    equal = [np.eye(3), np.zeros((3, 3)), np.diag([1.0, 1, 2]), np.diag([2.0, 1, 2]), np.ones((3, 3))]
+    matrices = np.concatenate([matrices, equal])
+    values, axes = portable.symmetric_axes(matrices)
+    largest = np.maximum(np.abs(matrices).max((1, 2)), 1e-30)[:, None]
+    assert np.abs((values - np.linalg.eigvalsh(matrices)) / largest).max() < 1e-14
+    assert np.abs(axes.transpose(0, 2, 1) @ axes - np.eye(3)).max() < 1e-14
+    assert np.abs((matrices @ axes - values[:, None] * axes) / largest[..., None]).max() < 1e-14
+
+
+def test_inverses_and_determinants_are_numpys() -> None:
+    matrices = np.random.default_rng(5).normal(size=(50, 3, 3))
+    assert np.allclose(portable.determinant(matrices), np.linalg.det(matrices), rtol=1e-12)
+    for matrix in matrices:
+        assert np.allclose(portable.inverse(matrix), np.linalg.inv(matrix), rtol=1e-9)
+    with pytest.raises(ValueError, match="singular"):
+        portable.inverse(np.ones((3, 3)))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

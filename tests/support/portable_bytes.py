@@ -5,10 +5,13 @@ from __future__ import annotations
 import hashlib
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from splatpainter.cameras import look_at
+from splatpainter.decals.decals import Decal
 from splatpainter.gatekeeper.bent_pictures import bend_of
 from splatpainter.gatekeeper.color_drift import estimate_drift
 from splatpainter.gatekeeper.registration import register, resampled_at, warped
@@ -16,8 +19,13 @@ from splatpainter.grading.color_match import AffineMap, monge_kantorovitch, stat
 from splatpainter.holes.fill import fill_hole
 from splatpainter.io import read, write
 from splatpainter.io.axes import move
+from splatpainter.painter import Painter
+from splatpainter.pictures.color_profiles import primaries_to_srgb
+from splatpainter.scene.placement import Placement
+from splatpainter.session.measures.mirror_plane import find_mirror_plane
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.transforms import quat_to_matrix
+from tests.support.surface_shapes import sphere
 
 FORMATS = ("ply", "compressed.ply", "splat", "spz", "glb", "sog")
 
@@ -60,6 +68,25 @@ def laid_over() -> str:
     return " ".join(hashlib.sha256(of.tobytes()).hexdigest()[:16] for of in (*laid, drift.matrix))
 
 
+def decal() -> str:
+    """A turned picture laid around a ball, which asks for cameras beside it; the plane in which the ball is its own
+    mirror image; its colours as a picture of other primaries stores them."""
+    made = sphere(900)
+    rounded = {name: np.round(getattr(made, name), 5).astype(np.float32) for name in ATTRIBUTES}
+    splats = replace(made, **rounded)
+    camera = look_at((0.4, 0.3, 4), (0, 0, 0), (0, 1, 0), width=160, height=160, fov=38)
+    picture = np.zeros((40, 90, 4), np.float32)
+    picture[..., 0], picture[4:-4, 6:-6, 3] = 0.8, 1
+    painter = Painter()
+    asset = painter.encode(splats)
+    edited = painter.apply(asset, Decal(picture, (84.0, 77.0), camera, 1.9, 25.0).views(asset)).splats
+    plane = find_mirror_plane(splats, (0.0, 1.0, 0.0))
+    stored = primaries_to_srgb((0.3127, 0.329, 0.68, 0.32, 0.265, 0.69, 0.15, 0.06))
+    turn = Placement.of((0.1, 0.2, 0.3), (20.0, 30.0, -50.0), 1.3)
+    text = repr((plane, stored.tolist(), turn, turn.turn)).encode()
+    return f"{digest(edited)} {hashlib.sha256(text).hexdigest()[:16]}"
+
+
 def main() -> None:
     splats = bumpy_plate()
     with tempfile.TemporaryDirectory() as folder:
@@ -76,6 +103,7 @@ def main() -> None:
     (mean, one), (target, other) = statistics(colors, splats.opacities), statistics(colors**2, splats.scales[:, 0])
     matched = AffineMap(monge_kantorovitch(one, other), mean, target)
     print("laid over", laid_over())
+    print("decal", decal())
     print("matched", hashlib.sha256(repr(matched).encode()).hexdigest()[:16])
 
 

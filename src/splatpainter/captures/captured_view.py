@@ -14,6 +14,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.captures.lenses import Lens, pinhole_window
 from splatpainter.io.folders import inside
+from splatpainter.kernels.portable import determinant, inverse, matmul, power
 from splatpainter.system.quick_dataclass import dataclass
 
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
@@ -97,12 +98,12 @@ def rigid(pose: np.ndarray, where: str) -> np.ndarray:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError(f"{where}: expected a 4x4 matrix of a camera, got shape {list(matrix.shape)}")
     # Some programs put the scene's scale into the pose: it is divided out, a mirror is refused.
-    size = float(np.linalg.det(matrix[:3, :3]))
+    size = float(determinant(matrix[:3, :3]))
     if not size > 1e-12:
         raise ValueError(f"{where}: expected a rotation in a camera's matrix, got a flat or mirrored one")
     out = np.eye(4)
-    out[:3, :3] = np.linalg.inv(matrix[:3, :3] / np.cbrt(size))
-    out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
+    out[:3, :3] = inverse(matrix[:3, :3] / power(size, 1 / 3))
+    out[:3, 3] = -matmul(out[:3, :3], matrix[:3, 3])
     return out
 
 

@@ -25,6 +25,7 @@ from splatpainter.captures.lenses import (
     lens_or_none,
 )
 from splatpainter.io import files
+from splatpainter.kernels.portable import length
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
 
@@ -179,7 +180,7 @@ def read_model(folder: Path) -> list[CapturedView]:
         # COLMAP stores world to camera, as Camera has it.
         matrix = np.eye(4)
         with np.errstate(over="ignore"):  # infinite, and refused
-            norm = float(np.linalg.norm(quaternion))
+            norm = length(quaternion)
         if not (0 < norm < np.inf and np.isfinite(translation).all()):
             raise ValueError(f"{images}: {_brief(name)} has no finite pose")
         matrix[:3, :3] = quat_to_matrix(quaternion[None])[0]

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.portable import arctan2, cos, sin, tan
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -51,11 +52,11 @@ class Lens:
     def reach(self) -> float:
         """Largest slope up to which pixels move outwards with the direction, in every direction; polynomials that were
         fitted to a photograph turn back on themselves outside it, and would show it again there."""
-        slopes = np.tan(np.linspace(0, math.radians(89.5), LENSES.slope_steps + 1))
+        slopes = tan(np.linspace(0, math.radians(89.5), LENSES.slope_steps + 1))
         out = float(slopes[-1])
         # Eight directions: tangential and prism terms are not the same all around.
         for angle in np.arange(8) * (math.pi / 4):
-            line = slopes[:, None] * np.array([math.cos(angle), math.sin(angle)])
+            line = slopes[:, None] * np.array([cos(angle), sin(angle)])
             with np.errstate(all="ignore"):  # what overflows or has no root is beyond reach
                 steps = np.diff(np.linalg.norm(self.distorted(line), axis=1))
             back = ~(steps > 0)
@@ -107,8 +108,8 @@ class FieldOfViewLens(Lens):
 
     def distorted(self, slopes: np.ndarray) -> np.ndarray:
         radius = np.linalg.norm(slopes, axis=-1, keepdims=True)
-        angle = np.arctan(radius * 2 * math.tan(self.omega / 2)) / self.omega
-        return slopes * _ratio(angle, radius, 2 * math.tan(self.omega / 2) / self.omega)
+        angle = arctan2(radius * 2 * tan(self.omega / 2), 1.0) / self.omega
+        return slopes * _ratio(angle, radius, 2 * tan(self.omega / 2) / self.omega)
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ class UnifiedLens(Lens):
 
 def _angles(slopes: np.ndarray) -> np.ndarray:
     radius = np.linalg.norm(slopes, axis=-1, keepdims=True)
-    return slopes * _ratio(np.arctan(radius), radius, 1.0)
+    return slopes * _ratio(arctan2(radius, 1.0), radius, 1.0)
 
 
 def _ratio(above: np.ndarray, below: np.ndarray, limit: float) -> np.ndarray:
@@ -181,7 +182,7 @@ def pinhole_window(camera: Camera, lens: Lens, *, all_of_it: bool) -> Camera:
 def _largest_window(camera: Camera) -> float:
     corners = [(side - center) / focal for side, center, focal in _sides(camera)]
     widest = max(abs(slope) for slope in corners)
-    return min(math.tan(math.radians(LENSES.max_half_field_degrees)) / max(widest, 1e-9), LENSES.max_enlargement)
+    return min(tan(math.radians(LENSES.max_half_field_degrees)) / max(widest, 1e-9), LENSES.max_enlargement)
 
 
 def _sides(camera: Camera) -> list[tuple[float, float, float]]:

@@ -18,6 +18,7 @@ from splatpainter.captures.captured_view import OPENGL_TO_OPENCV, CapturedView, 
 from splatpainter.captures.lenses import Lens, PolynomialLens, lens_or_none
 from splatpainter.image_files import picture_header
 from splatpainter.io import files
+from splatpainter.kernels.portable import inverse, matmul, tan
 from splatpainter.system.jsonio import brief, finite_numbers, load_object, objects_at
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -47,13 +48,16 @@ class ParserFrame:
         # The asset lies in the data parser's frame, cameras in the capture's: cameras are moved, not Gaussians.
         matrix = view.camera.world_to_camera.copy()
         # x = R p + t of p = rotation^T (p' / scale - shift), times scale: depths grow with the world
-        matrix[:3, :3] = matrix[:3, :3] @ rotation.T
-        matrix[:3, 3] = self.scale * (matrix[:3, 3] - matrix[:3, :3] @ shift)
+        matrix[:3, :3] = matmul(matrix[:3, :3], rotation.T)
+        matrix[:3, 3] = self.scale * (matrix[:3, 3] - matmul(matrix[:3, :3], shift))
         return replace(view, camera=replace(view.camera, world_to_camera=matrix))
 
     def after(self, applied: np.ndarray, scale: float) -> ParserFrame:
         """The frame seen from a table whose poses were moved by `applied` [4, 4] and then scaled."""
-        return ParserFrame(self.transform @ np.linalg.inv(applied), self.scale / scale)
+        undone = np.eye(4)
+        undone[:3, :3] = inverse(applied[:3, :3])
+        undone[:3, 3] = -matmul(undone[:3, :3], applied[:3, 3])
+        return ParserFrame(matmul(self.transform, undone), self.scale / scale)
 
 
 def splat_frame(*folders: Path | None) -> ParserFrame | None:
@@ -106,7 +110,7 @@ def _view(where: str, record: dict[str, Any], folder: Path) -> CapturedView:
     width, height = _size(where, record, view)
     focals = _focals(where, record, width, height)
     cx, cy = (_number(where, record, key, side / 2) for key, side in (("cx", width), ("cy", height)))
-    matrix = rigid(pose @ OPENGL_TO_OPENCV, where)
+    matrix = rigid(matmul(pose, OPENGL_TO_OPENCV), where)
     return replace(view, camera=posed_camera(where, (width, height), focals, (cx, cy), matrix))
 
 
@@ -140,7 +144,7 @@ def _focals(where: str, record: dict[str, Any], width: int, height: int) -> tupl
             radians = _number(where, record, angle, 0.0)
             if not 0 < radians < math.pi:
                 raise ValueError(f"{where}: expected {angle} between 0 and pi radians, got {radians:g}")
-            focals[key] = side / 2 / math.tan(radians / 2)
+            focals[key] = side / 2 / tan(radians / 2)
     if not focals:
         raise ValueError(f"{where}: has neither fl_x nor camera_angle_x")
     either = next(iter(focals.values()))
@@ -191,8 +195,8 @@ def read_path(path: Path, record: dict[str, Any]) -> list[CapturedView]:
         values = finite_numbers(entry.get("camera_to_world"), where, "camera_to_world")
         if values.size != 16 or not 0 < fov < 180:
             raise ValueError(f"{where}: expected 16 numbers as camera_to_world and a fov between 0 and 180 degrees")
-        focal = height / 2 / math.tan(math.radians(fov) / 2)
-        matrix = rigid(values.reshape(4, 4) @ OPENGL_TO_OPENCV, where)
+        focal = height / 2 / tan(math.radians(fov) / 2)
+        matrix = rigid(matmul(values.reshape(4, 4), OPENGL_TO_OPENCV), where)
         center = width / 2, height / 2
         out.append(CapturedView("", posed_camera(where, (width, height), (focal, focal), center, matrix)))
     return out
@@ -206,7 +210,7 @@ def _matrix(value: Any, where: str, rotation: bool = True) -> np.ndarray:
         raise ValueError(f"{where}: expected a 4x4 or 3x4 matrix, got {brief(value)}")
     out = np.eye(4)
     out[:3] = rows[:3]
-    if rotation and abs(out[:3, :3] @ out[:3, :3].T - np.eye(3)).max() > 1e-4:
+    if rotation and abs(matmul(out[:3, :3], out[:3, :3].T) - np.eye(3)).max() > 1e-4:
         raise ValueError(f"{where}: expected a rotation and a shift")
     return out
 

@@ -17,6 +17,7 @@ from splatpainter.commands.parts.demo_paint import evening, painted
 from splatpainter.commands.parts.demo_sheet import Panel, animation, overview
 from splatpainter.commands.parts.terminal import decibels, size, stages
 from splatpainter.io import files, read, write
+from splatpainter.kernels.portable import arctan2, cos, hypot, length, sin
 from splatpainter.output_paths import check_folder, made_folder, save_picture
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -120,11 +121,11 @@ def view(
     # The file's axes are turned, so the recommended camera is turned with them.
     eye, target = np.array(HERO_EYE) * HALF_TURN, np.array(HERO_TARGET) * HALF_TURN
     x, y, z = eye - target
-    far = float(np.hypot(np.hypot(x, y), z))
+    far = length(eye - target)
     # Moved by angles about the target, so that the asset stays in the middle.
-    side = np.arctan2(x, z) - np.radians(azimuth)  # y points down, so right is towards -x
-    rise = np.arcsin(-y / far) + np.radians(elevation)
-    moved = back * far * np.array([np.sin(side) * np.cos(rise), -np.sin(rise), np.cos(side) * np.cos(rise)])
+    side = arctan2(x, z) - np.radians(azimuth)  # y points down, so right is towards -x
+    rise = arctan2(-y, hypot(x, z)) + np.radians(elevation)
+    moved = back * far * np.array([sin(side) * cos(rise), -sin(rise), cos(side) * cos(rise)])
     return look_at(target + moved, target, (0, -1, 0), width=size, height=size, fov=HERO_FOV, background=background)
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.portable import cos, exp, power, sin
 from splatpainter.rendering.cpu.projected_view import project
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
@@ -81,7 +82,7 @@ def fused_surface(
     right = np.cross(up, start[1])
     views: list[tuple[Camera, np.ndarray]] = []
     for yaw, pitch in np.radians(FUSION.view_directions_degrees):
-        direction = np.cos(pitch) * (np.cos(yaw) * start[1] + np.sin(yaw) * right) + np.sin(pitch) * up
+        direction = cos(pitch) * (cos(yaw) * start[1] + sin(yaw) * right) + sin(pitch) * up
         camera = facing(direction, voxel)
         views.append((camera, _distances(splats, surface, camera, grid, FUSION.truncation_voxels * voxel)))
     # The first average has no normals; the next weigh each view by how frontally it sees the surface so found.
@@ -131,7 +132,7 @@ def _averaged(
         if normals is not None:
             line = camera.position - grid
             cosine = (line * normals).sum(1) / np.linalg.norm(line, axis=1)
-            share *= np.maximum(cosine, FUSION.min_cosine) ** FUSION.facing_exponent
+            share *= power(np.maximum(cosine, FUSION.min_cosine), FUSION.facing_exponent)
         # A view through a gap says "outside" of what is solid; others behind the surface outvote it only slowly.
         share *= np.where(before <= -1, FUSION.behind_weight, 1)
         total += share * np.nan_to_num(before)
@@ -144,7 +145,7 @@ def _averaged(
 def _blurred(values: np.ndarray) -> np.ndarray:
     """A volume after a Gaussian blur of FUSION.blur_voxels; nothing beyond its faces."""
     reach = int(np.ceil(2.5 * FUSION.blur_voxels))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / FUSION.blur_voxels) ** 2)
+    kernel = exp(-0.5 * (np.arange(-reach, reach + 1) / FUSION.blur_voxels) ** 2)
     kernel /= kernel.sum()
     for axis in range(3):
         padded = np.pad(values, [(reach, reach) if a == axis else (0, 0) for a in range(3)])

@@ -14,6 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.decals.decal_surface import mean_normal, surface_under
 from splatpainter.decals.decal_survey import UnwrappedPatch, survey
 from splatpainter.decals.decal_views import mapped_view
+from splatpainter.kernels.portable import cos, dot, length, sin
 from splatpainter.painter import Asset
 from splatpainter.surface.estimate import Surface
 from splatpainter.system.quick_dataclass import dataclass
@@ -126,9 +127,9 @@ def decal_placement(
         # Upright by what the surface does over the picture's size, not by the fold under one pixel.
         around = mean_normal(asset, surface, camera, start, PLACEMENT.evened_share * min(size))
         up = picture_up(camera, around, angle, level)
-        up -= (up @ start[1]) * start[1]
-        up /= np.linalg.norm(up)
-        seen_from = (camera.position - start[0]) / np.linalg.norm(camera.position - start[0])
+        up -= dot(up, start[1]) * start[1]
+        up /= length(up)
+        seen_from = (camera.position - start[0]) / length(camera.position - start[0])
         patch = survey(asset, surface, start, up, size, spacing, math.radians(wrap), seen_from)
         return DecalPlacement(*start, up, size, spacing, patch)
 
@@ -162,7 +163,7 @@ def _starts_beside(
         reach = max(share * min(size) * camera.fx / depth, ring + 1.0)
         for quarter in range(4):
             turn = math.pi / 2 * (quarter + 0.5 * ring)
-            pixel = (at[0] + reach * math.cos(turn), at[1] + reach * math.sin(turn))
+            pixel = (at[0] + reach * cos(turn), at[1] + reach * sin(turn))
             try:
                 start = surface_under(asset, surface, camera, pixel)
             except ValueError:  # beside the asset, or the picture
@@ -177,16 +178,17 @@ def picture_up(camera: Camera, normal: np.ndarray, angle: float, level: np.ndarr
     # Up of the object if it is told, else up of the view, else forwards for a surface seen edge-on.
     ways = [(-rotation[1], 0.05), (rotation[2], 0.0)]  # the surface is seen from its edge: forwards is up
     if level is not None:
-        ways.insert(0, (np.asarray(level, np.float64) / np.linalg.norm(level), PLACEMENT.min_level_sine))
+        upwards = np.asarray(level, np.float64)
+        ways.insert(0, (upwards / length(upwards), PLACEMENT.min_level_sine))
     up = np.zeros(3)
     for way, least in ways:
-        up = way - (way @ normal) * normal
-        if np.linalg.norm(up) >= least:
+        up = way - dot(way, normal) * normal
+        if length(up) >= least:
             break
-    up /= np.linalg.norm(up)
+    up /= length(up)
     right = np.cross(up, normal)
     turn = math.radians(angle)
-    return math.cos(turn) * up - math.sin(turn) * right
+    return cos(turn) * up - sin(turn) * right
 
 
 def blocks_of(camera: Camera) -> tuple[Camera, int]:

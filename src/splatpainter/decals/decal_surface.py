@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import field
 
 import numpy as np
 
 from splatpainter.cameras import Camera, look_at
+from splatpainter.kernels.portable import hypot, length, matmul, symmetric_axes
 from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.surface.estimate import Surface
@@ -83,7 +85,7 @@ def surface_pixels(
     trusted = at.depth > 0
     z = np.where(trusted, at.depth, depth[ys, xs])
     points = camera.unproject(z, np.stack([xs, ys], 1) + 0.5)
-    normals = at.normals @ camera.world_to_camera[:3, :3]
+    normals = matmul(at.normals, camera.world_to_camera[:3, :3])
     # Rough surface is used as it is here and smoothed by the caller, who knows the decal's size.
     rough = ~trusted | (at.residuals > DECAL_SURFACE.rough_residual * at.windows)
     position = np.full((*pixels.shape, 3), np.nan)
@@ -122,13 +124,13 @@ def _fitted_normals(
         - position[ys, xs][:, None]
     )
     pixel = z / camera.fx
-    reach = 2 * pixel[:, None] * (1 + np.hypot(dx, dy))
+    reach = 2 * pixel[:, None] * (1 + hypot(dx, dy))
     weight = (np.linalg.norm(near, axis=2) < reach).astype(float)  # NaN is not near
     # Covariance of the neighbours that are near in depth; its least axis is the normal.
     near = np.nan_to_num(near) * weight[..., None]
     total = np.maximum(weight.sum(1), 1)[:, None]
     near = (near - (near.sum(1) / total)[:, None]) * weight[..., None]
-    values, vectors = np.linalg.eigh(np.einsum("fki,fkj->fij", near, near) / total[..., None])
+    values, vectors = symmetric_axes(matmul(near.transpose(0, 2, 1), near) / total[..., None])
     normals = vectors[:, :, 0]
     line = camera.position - position[ys, xs]
     cosine = (normals * line).sum(1) / np.maximum(np.linalg.norm(line, axis=1), 1e-30)
@@ -153,14 +155,14 @@ def surface_under(
     view = project(asset.splats, window)
     _, alpha, depth = view.rasterize()
     visible_part = surface_pixels(asset, surface, view, alpha > DECAL_SURFACE.min_alpha, depth)
-    away = np.hypot(visible_part.xs + 0.5 - (x - left), visible_part.ys + 0.5 - (y - top))
+    away = hypot(visible_part.xs + 0.5 - (x - left), visible_part.ys + 0.5 - (y - top))
     if not len(away) or away.min() > 2:
         raise ValueError(f"decal: there is no surface under pixel {x:g},{y:g}; choose one on the asset")
     first = int(away.argmin())
     # The normal is a mean over those beside it that face the same way: one pixel is noise.
     near = away < away.min() + 2
-    normal = visible_part.normals[near & (visible_part.normals @ visible_part.normals[first] > 0.5)].mean(0)
-    return visible_part.points[first], normal / np.linalg.norm(normal)
+    normal = visible_part.normals[near & (matmul(visible_part.normals, visible_part.normals[first]) > 0.5)].mean(0)
+    return visible_part.points[first], normal / length(normal)
 
 
 def mean_normal(
@@ -179,9 +181,9 @@ def mean_normal(
     seen = surface_pixels(asset, surface, view, alpha > DECAL_SURFACE.min_alpha, depth)
     # Nearer parts count more; those of another side not at all.
     weights = np.maximum(1 - np.linalg.norm(seen.points - point, axis=1) / radius, 0)
-    weights *= seen.normals @ normal > DECAL_SURFACE.same_side
+    weights *= matmul(seen.normals, normal) > DECAL_SURFACE.same_side
     mean = (weights[:, None] * seen.normals).sum(0) + 1e-3 * normal
-    return mean / np.linalg.norm(mean)
+    return mean / length(mean)
 
 
 def is_open(asset: Asset, position: np.ndarray) -> bool:
@@ -227,14 +229,14 @@ def facing_camera(
     for step in range(1, 1 if clear else DECAL_SURFACE.lean_steps + 1):
         share = step / DECAL_SURFACE.lean_steps
         leaning = (1 - share) * direction + share * seen_from
-        length = float(np.linalg.norm(leaning))
-        if length < 1e-6:
+        if length(leaning) < 1e-6:
             continue
-        away, clear = _standing(asset, target, leaning / length, radius, outdoors)
+        leaning /= length(leaning)
+        away, clear = _standing(asset, target, leaning, radius, outdoors)
         if clear:
-            distance, direction = away, leaning / length
+            distance, direction = away, leaning
             break
-    half = min(radius / max(distance**2 - radius**2, (0.5 * distance) ** 2) ** 0.5, 1.5)
+    half = min(radius / math.sqrt(max(distance**2 - radius**2, (0.5 * distance) ** 2)), 1.5)
     size = max(int(np.ceil(2 * half * distance / pixel)), 8)
     camera = look_at(target + distance * direction, target, up, width=size, height=size)
     focal = distance / pixel

@@ -15,6 +15,7 @@ from splatpainter.decals.decal_surface import (
     lies_outdoors,
     surface_pixels,
 )
+from splatpainter.kernels.portable import cos, dot, hypot, length, matmul, sin
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import project
@@ -72,14 +73,18 @@ class SurveyThresholds:
     """Cameras that look for the surface under a decal."""
     pixels_per_spacing: float = 1.4
     """Resolution of these cameras, where they face the surface."""
-    min_facing_cosine: float = np.cos(np.radians(58.0))
-    """Cosine between the normal and the line of sight below which a sample should be seen from elsewhere."""
+    min_facing_cosine: float = 0.5299192642332049
+    """Of 58 degrees: the cosine between the normal and the line of sight below which a sample should be seen from
+    elsewhere."""
     lean_radians: float = np.radians(50.0)
     """Angle by which a camera leans outwards over a rim, to see how the surface goes on behind it."""
     min_rim_length: float = 0.22
     """Length of `Unwrapped.rims` from which a sample is at a rim."""
-    min_camera_cosine: float = np.cos(np.radians(40.0))
-    """Cosine between the direction in which a sample asks for a camera and that of one, from which it has got it."""
+    min_camera_cosine: float = 0.766044443118978
+    """Of 40 degrees: the cosine between the direction in which a sample asks for a camera and that of one, from which
+    it has got it."""
+    min_served_cosine: float = 0.8191520442889918
+    """Of 35 degrees: the cosine between that direction and a camera's from which it serves the sample."""
     min_open: float = 0.25
     """Samples of a decal that must ask for a camera, over those along its shorter side: a word that goes on around an
     edge asks along a line."""
@@ -124,7 +129,7 @@ def survey(
     up: [3] of the decal; size: (width, height), world units; max_turn: wrap limit, radians; seen_from: [3] unit, a
     direction from which the start is seen."""
     # Start with the point that was clicked; every round adds what one more camera sees.
-    radius, half = 0.5 * float(np.hypot(*size)), (size[0] / 2, size[1] / 2)
+    radius, half = 0.5 * float(hypot(*size)), (size[0] / 2, size[1] / 2)
     smoothing = max(SURVEY.smoothed_spacings * spacing, SURVEY.smoothed_size * 2 * radius)
     pixel, outdoors = spacing / SURVEY.pixels_per_spacing, lies_outdoors(asset, start[0], seen_from)
     samples_so_far = (start[0][None], start[1][None], np.zeros((1, 3)), np.zeros(1, bool))
@@ -140,7 +145,7 @@ def survey(
             radius * 1.08,
             pixel,
             outdoors=outdoors,
-            nearer=bool(direction @ start[1] > 0),
+            nearer=dot(direction, start[1]) > 0,
             seen_from=None if directions else seen_from,
         )
         sight = _Sight.of(asset, surface, camera, samples_so_far, start, up, size, spacing)
@@ -164,7 +169,7 @@ def survey(
         for _ in range(SURVEY.smoothing_rounds if scatters else 0):
             points, normals = smoothed((points, normals), (points, normals), smoothing)
         samples = unwrap(points, normals, up, spacing, half, max_turn)
-        within = samples.reached & (samples.normals @ normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
+        within = samples.reached & (matmul(samples.normals, normals[0]) >= cos(min(max_turn, np.pi)) - 1e-9)
         under = within & (np.abs(samples.uv) < half).all(1)
         directions.append(direction)
         # Where to look next.
@@ -221,10 +226,10 @@ def _requests(
     rim = np.linalg.norm(samples.rims, axis=1)
     at_rim = under & (rim > SURVEY.min_rim_length)
     outwards = samples.rims / np.maximum(rim, 1e-9)[:, None]
-    over_rim = np.cos(SURVEY.lean_radians) * samples.normals - np.sin(SURVEY.lean_radians) * outwards
+    over_rim = cos(SURVEY.lean_radians) * samples.normals - sin(SURVEY.lean_radians) * outwards
     leaning = np.where(at_rim[:, None], over_rim, samples.normals)
     asking = under & (at_rim | (facing < SURVEY.min_facing_cosine))
-    asking &= (leaning @ np.stack(directions, 1)).max(1) < SURVEY.min_camera_cosine
+    asking &= matmul(leaning, np.stack(directions, 1)).max(1) < SURVEY.min_camera_cosine
     asking[0] = False
     return leaning, asking
 
@@ -234,10 +239,10 @@ def _next_direction(leaning: np.ndarray, asking: np.ndarray) -> tuple[np.ndarray
     mean of what these want; [W] their indices)."""
     requests = leaning[asking]
     candidates = requests[:: max(len(requests) // 200, 1)]
-    votes = requests @ candidates.T > np.cos(np.radians(35.0))
+    votes = matmul(requests, candidates.T) > SURVEY.min_served_cosine
     winner = votes[:, votes.sum(0).argmax()]
     direction = requests[winner].mean(0)
-    return direction / np.linalg.norm(direction), asking[winner]
+    return direction / length(direction), asking[winner]
 
 
 def _fused_patch(
@@ -250,7 +255,7 @@ def _fused_patch(
     seen_from: np.ndarray,
 ) -> UnwrappedPatch | None:
     """`survey` on rough surface: one made of all views (`fused_surface`); None where there is none at the start."""
-    radius = SURVEY.fused_radius_diagonals * float(np.hypot(*size))
+    radius = SURVEY.fused_radius_diagonals * float(hypot(*size))
     outdoors = lies_outdoors(asset, start[0], seen_from)
 
     def facing(direction: np.ndarray, pixel: float) -> Camera:
@@ -258,14 +263,14 @@ def _fused_patch(
 
     points, normals, voxel = fused_surface(asset.splats, surface, start, up, radius, facing)
     # The fused surface has to pass by the start, facing the same way.
-    away = np.where(normals @ start[1] > SURVEY.same_side, np.linalg.norm(points - start[0], axis=1), np.inf)
+    away = np.where(matmul(normals, start[1]) > SURVEY.same_side, np.linalg.norm(points - start[0], axis=1), np.inf)
     if not len(away) or away.min() > SURVEY.smoothed_voxels * voxel:
         return None
     order = np.concatenate([[away.argmin()], np.delete(np.arange(len(points)), away.argmin())])
     order = order[thinned(points[order], normals[order], voxel)]
     half = (size[0] / 2, size[1] / 2)
     samples = unwrap(points[order], normals[order], up, voxel, half, max_turn)
-    within = samples.reached & (samples.normals @ samples.normals[0] >= np.cos(min(max_turn, np.pi)) - 1e-9)
+    within = samples.reached & (matmul(samples.normals, samples.normals[0]) >= cos(min(max_turn, np.pi)) - 1e-9)
     within &= ~laid_twice(samples)
     under = within & (np.abs(samples.uv) < half).all(1)
     left_out = crumbs(samples, within, under)
@@ -414,9 +419,9 @@ def _near_strip(
     """[K] bool whether points ([K, 3]) may lie under a decal of a size (width, height) around a start (point, normal):
     no point is farther along a direction than the way along the surface is, and no way is longer than its sides."""
     right = np.cross(up, start[1])
-    right /= np.linalg.norm(right)
+    right /= length(right)
     way = points - start[0]
-    u, v = np.abs(way @ right), np.abs(way @ np.cross(start[1], right))
+    u, v = np.abs(matmul(way, right)), np.abs(matmul(way, np.cross(start[1], right)))
     width, height = size
     along, across = 0.5 * width + SURVEY.strip_margin * height, 0.5 * height + SURVEY.strip_margin * width
     return (u < along) & (v < across) & ((way**2).sum(1) < 0.4 * (width**2 + height**2))

@@ -19,6 +19,7 @@ from splatpainter.decals.decal_surface import (
     surface_pixels,
 )
 from splatpainter.decals.decal_survey import SURVEY, UnwrappedPatch, share_near
+from splatpainter.kernels.portable import cos, dot, hypot, length, matmul, mean, sin
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.sheets.near_surface import NearSurface
@@ -63,8 +64,8 @@ class DecalViewThresholds:
     """Pixels around one of more than that which it does not paint either: paint spreads by as much."""
     rim_slope: float = 4.0
     """Slope, depth over width, by which the surface may fall away there."""
-    frontal_cosine: float = np.cos(np.radians(42.0))
-    """Cosine between normal and line of sight from which a view counts as frontal."""
+    frontal_cosine: float = 0.7431448254773942
+    """Of 42 degrees: the cosine between normal and line of sight from which a view counts as frontal."""
     max_hidden: float = 0.02
     """Share of the painted samples that no view that faces some shows, from which they are painted from where they were
     found."""
@@ -177,7 +178,7 @@ def faced_parts(
             if len(parts) + len(sides) >= limit:
                 break
             side = np.cross(up, direction)
-            turned = np.cos(turn) * direction + np.sin(turn) * side / np.linalg.norm(side)
+            turned = cos(turn) * direction + sin(turn) * side / length(side)
             view = _view(asset, surface, patch, painted, turned, members, up, pixel)
             view = view.without_strays(np.full(len(owners), stray_limit))
             if stands_free(asset, view.camera.position, patch.outdoors):
@@ -432,7 +433,7 @@ def _front_share(
     y = np.clip(uv[:, 1], 0, depth.shape[0] - 1).astype(int)
     at = nearest[y, x]
     # Farther from it along the picture the surface may rise, and more so the larger a Gaussian is.
-    away = np.hypot(uv[:, 0] - at % depth.shape[1], uv[:, 1] - at // depth.shape[1])
+    away = hypot(uv[:, 0] - at % depth.shape[1], uv[:, 1] - at // depth.shape[1])
     size = splats.numpy().scales[ids].max(1)
     front = depth.ravel()[at] - z > 3 * spacing + DECAL_VIEWS.rim_slope * away * pixel + 2 * size
     colors = np.zeros((len(ids), 3), np.float32)
@@ -482,12 +483,12 @@ def _creases(
     """(direction [3] between both faces, [S] bool samples up to `reach` from it) of outward edges between what views
     face, the longest first. painted: [S] bool; groups: of `_directions`."""
     directions = np.stack([direction for direction, _ in groups])
-    face = np.where(painted, (samples.normals @ directions.T).argmax(1), -1)
+    face = np.where(painted, matmul(samples.normals, directions.T).argmax(1), -1)
     out = []
     for first in range(len(groups)):
         for second in range(first):
             # Faces that look nearly the same way, or opposite ways, share no edge that a view between them would see.
-            if abs(directions[first] @ directions[second]) > DECAL_VIEWS.max_crease_cosine:
+            if abs(dot(directions[first], directions[second])) > DECAL_VIEWS.max_crease_cosine:
                 continue
             a, b = (np.flatnonzero(face == k) for k in (first, second))
             a, b = (
@@ -496,16 +497,16 @@ def _creases(
             )
             if not len(a) or not len(b):
                 continue
-            flat = [(samples.normals[ids] @ directions[k]).mean() for ids, k in ((a, first), (b, second))]
+            flat = [mean(matmul(samples.normals[ids], directions[k])) for ids, k in ((a, first), (b, second))]
             if min(flat) < DECAL_VIEWS.min_face_cosine:
                 continue
             way = samples.points[b].mean(0) - samples.points[a].mean(0)
-            if way @ directions[first] > 0:  # an inward edge: both views see it well
+            if dot(way, directions[first]) > 0:  # an inward edge: both views see it well
                 continue
             beside = np.zeros(len(face), bool)
             beside[a], beside[b] = True, True
             direction = directions[first] + directions[second]
-            out.append((direction / np.linalg.norm(direction), beside))
+            out.append((direction / length(direction), beside))
     return sorted(out, key=lambda crease: -int(crease[1].sum()))
 
 
@@ -535,12 +536,12 @@ def _directions(ids: np.ndarray, normals: np.ndarray, limit: int) -> list[tuple[
             break
         # The normal with most others around it, then their mean, a few times (mean shift).
         candidates = normals[left][:: max(int(left.sum()) // 256, 1)]
-        direction = candidates[(normals[left] @ candidates.T > DECAL_VIEWS.frontal_cosine).sum(0).argmax()]
+        direction = candidates[(matmul(normals[left], candidates.T) > DECAL_VIEWS.frontal_cosine).sum(0).argmax()]
         for _ in range(3):
-            near = left & (normals @ direction > DECAL_VIEWS.frontal_cosine)
+            near = left & (matmul(normals, direction) > DECAL_VIEWS.frontal_cosine)
             direction = normals[near].mean(0)
-            direction /= np.linalg.norm(direction)
-        near = left & (normals @ direction > DECAL_VIEWS.frontal_cosine)
+            direction /= length(direction)
+        near = left & (matmul(normals, direction) > DECAL_VIEWS.frontal_cosine)
         if not near.any():
             break
         out.append((direction, ids[near]))

@@ -13,6 +13,7 @@ count. `Recolor` gives everything one colour and keeps its light and shade.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import field
 
@@ -92,9 +93,8 @@ class ColorMatch:
     def fit(self, colors: np.ndarray, weights: np.ndarray) -> AffineMap:
         """colors: [N, 3] display colours of what is to change, weights: [N] how much each of them counts.
         Raises ValueError: nothing of the picture is opaque."""
-        step = max(
-            1, int(np.ceil((self.picture.colors.shape[0] * self.picture.colors.shape[1] / MATCHING.max_pixels) ** 0.5))
-        )
+        height, width = self.picture.colors.shape[:2]
+        step = max(1, math.ceil(math.sqrt(height * width / MATCHING.max_pixels)))
         # Statistics of a million pixels are those of fifty million.
         pixels = self.picture.colors[::step, ::step].reshape(-1, 3)
         alpha = self.picture.alpha

@@ -201,13 +201,13 @@ def _matched(
 def _confidence(valid: np.ndarray, hole: np.ndarray) -> np.ndarray:
     """[H, W] 1 of what is valid, less and less towards the middle of the hole, 0 elsewhere."""
     out = np.where(valid, 1.0, 0.0)
-    left, depth = hole.copy(), 0
+    left, trust = hole.copy(), 1.0
     while left.any():
-        depth += 1
+        trust /= TEXTURE.depth_weight_base
         inner = left.copy()
         for axis in (0, 1):
             inner &= _box(left.astype(np.float64), 1, axis) > 1 - 1e-9
-        out[left & ~inner] = max(TEXTURE.depth_weight_base**-depth, 1e-3)
+        out[left & ~inner] = max(trust, 1e-3)
         left = inner
     return out
 

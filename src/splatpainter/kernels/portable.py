@@ -23,8 +23,10 @@ Number = Any
 
 
 def matmul(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """first @ second: [..., K] by [K, J], or stacks of matrices [N, I, K] by [N, K, J], either of which may be one
-    matrix [K, J]. Each sum runs from the first term to the last, in the larger of the dtypes."""
+    """first @ second: [..., K] by [K, J] or a vector [K], or stacks of matrices [N, I, K] by [N, K, J], either of which
+    may be one matrix [K, J]. Each sum runs from the first term to the last, in the larger of the dtypes."""
+    if second.ndim == 1:
+        return matmul(first, second[:, None])[..., 0]
     dtype = np.result_type(first, second)
     # One matrix for all, or a stack of them; both become stacks for the kernel.
     if second.ndim == 2:
@@ -71,6 +73,60 @@ def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     factor, out = np.array(matrix, np.float64), np.array(right, np.float64)
     _run("solve_symmetric", 0, factor, out)
     return out
+
+
+def determinant(matrix: np.ndarray) -> np.ndarray:
+    """[...] of matrices [..., 3, 3]."""
+    return (matrix[..., 0, :] * np.cross(matrix[..., 1, :], matrix[..., 2, :])).sum(-1)
+
+
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a matrix [3, 3], float64, by its cofactors. Raises ValueError where it has none."""
+    rows = np.asarray(matrix, np.float64)
+    scale = determinant(rows)
+    if not (np.isfinite(scale) and scale != 0):
+        raise ValueError("inverse: the matrix is singular")
+    return np.stack([np.cross(rows[1], rows[2]), np.cross(rows[2], rows[0]), np.cross(rows[0], rows[1])], 1) / scale
+
+
+def symmetric_axes(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(eigenvalues [..., 3], ascending, unit eigenvectors [..., 3, 3], in columns) of symmetric matrices [..., 3, 3],
+    float64 (Smith, Eigenvalues of a symmetric 3 x 3 matrix, 1961). Axes of equal values are any."""
+    matrices = np.asarray(matrices, np.float64)
+    middle = np.trace(matrices, axis1=-2, axis2=-1)[..., None] / 3
+    rest = matrices - middle[..., None] * np.eye(3)
+    spread = np.sqrt((rest**2).sum((-2, -1)) / 6)[..., None]
+    with np.errstate(all="ignore"):
+        cosine = np.nan_to_num(determinant(rest / spread[..., None]) / 2)
+    # The value that stands alone, and its axis; the other two turn in the plane across it.
+    alone = np.where(cosine < 0, -1.0, 1.0)[..., None]
+    turn = np.asarray(arccos(np.clip(np.abs(cosine), 0, 1)))[..., None] / 3
+    axis = _axis_of(matrices, (middle + alone * 2 * spread * cos(turn))[..., 0])
+    one = np.cross(axis, np.eye(3)[np.abs(axis).argmin(-1)])
+    one = one / np.sqrt((one**2).sum(-1, keepdims=True))
+    other = np.cross(axis, one)
+    lengthened = [(matrices * across[..., None, :]).sum(-1) for across in (one, other)]
+    across = (one * lengthened[1]).sum(-1)
+    angle = (
+        np.asarray(arctan2(2 * across, (one * lengthened[0]).sum(-1) - (other * lengthened[1]).sum(-1)))[..., None] / 2
+    )
+    larger, smaller = cos(angle) * one + sin(angle) * other, cos(angle) * other - sin(angle) * one
+    axes = np.stack(
+        [np.where(alone < 0, axis, smaller), np.where(alone < 0, smaller, larger), np.where(alone < 0, larger, axis)],
+        -1,
+    )
+    return (axes * (matrices[..., None] * axes[..., None, :, :]).sum(-2)).sum(-2), axes
+
+
+def _axis_of(matrices: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """[..., 3] unit vectors that symmetric matrices [..., 3, 3] only lengthen, by a value [...]: square to all rows of
+    what is left without it."""
+    rows = matrices - value[..., None, None] * np.eye(3)
+    crosses = np.stack([np.cross(rows[..., k, :], rows[..., (k + 1) % 3, :]) for k in range(3)], -2)
+    sizes = (crosses**2).sum(-1)
+    best = np.take_along_axis(crosses, sizes.argmax(-1)[..., None, None], -2)[..., 0, :]
+    size = np.sqrt(sizes.max(-1))[..., None]
+    return np.where(size > 0, best / np.where(size > 0, size, 1), np.array([0.0, 0.0, 1.0]))
 
 
 def log_determinant(matrix: np.ndarray) -> float:
@@ -123,9 +179,10 @@ def interp(x: Number, points: Sequence[float] | np.ndarray, values: Sequence[flo
     """`np.interp`: piecewise linear between points [K], ascending, whose values [K] are given; constant outside."""
     points, values = np.asarray(points, np.float64), np.asarray(values, np.float64)
     # numpy's own interp changed its rounding between versions.
+    x = np.maximum(x, points[0])
     at = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
     slope = (values[at + 1] - values[at]) / (points[at + 1] - points[at])
-    return np.where(x >= points[-1], values[-1], slope * (np.maximum(x, points[0]) - points[at]) + values[at])
+    return np.where(x >= points[-1], values[-1], slope * (x - points[at]) + values[at])
 
 
 def exp(x: Number) -> Number:
@@ -163,6 +220,11 @@ def sin(x: Number) -> Number:
 def cos(x: Number) -> Number:
     """Of radians, up to a million."""
     return _each("cos_each", x)
+
+
+def tan(x: Number) -> Number:
+    """Of radians, up to a million."""
+    return sin(x) / cos(x)
 
 
 def arccos(x: Number) -> Number:

@@ -8,6 +8,7 @@ N Gaussians, F features, R of them seen and regressed on. float32, but for the r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import field
 
@@ -96,7 +97,7 @@ class StoredPredictor:
         together, width = self.tensors["together.weight"], alone.shape[1]
         same = portable.matmul(around[None], together[:, width:].T) + self.tensors["together.bias"]  # for all Gaussians
         x = portable.silu(portable.matmul(alone, together[:, :width].T) + same)
-        scale = np.float32(2 * self.features**-0.5)
+        scale = np.float32(2 / math.sqrt(self.features))
         light, hue = np.split(scale * self._linear("describe", x), 2, axis=1)
         return light, hue, np.float32(EXPECTED_GAIN) * self._linear("expected", x)
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from splatpainter.color import linear_to_srgb, srgb_to_linear
 from splatpainter.image_files import PNG_MAGIC
+from splatpainter.kernels.portable import determinant, interp, inverse, matmul, power
 from splatpainter.system.quick_dataclass import dataclass
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
@@ -65,15 +66,15 @@ class ColorStatement:
         curves = self.curves if len(self.curves) == 3 else self.curves * 3
         # Curves first, then the matrix: primaries mix light, not stored values.
         light = np.stack([curve(colors[..., k].astype(np.float64)) for k, curve in enumerate(curves)], -1)
-        return linear_to_srgb(np.clip(light @ self.matrix.T, 0, 1)).astype(np.float32)
+        return linear_to_srgb(np.clip(matmul(light, self.matrix.T), 0, 1)).astype(np.float32)
 
     def from_srgb(self, colors: np.ndarray) -> np.ndarray:
         """[..., 3] display sRGB 0..1 as stored values 0..1, cut to what can be stored; float64."""
-        light = srgb_to_linear(np.clip(colors, 0, 1).astype(np.float64)) @ np.linalg.inv(self.matrix).T
+        light = matmul(srgb_to_linear(np.clip(colors, 0, 1).astype(np.float64)), inverse(self.matrix).T)
         curves = self.curves if len(self.curves) == 3 else self.curves * 3
         levels = np.linspace(0, 1, 4096)
         # Curves rise, so that a table backwards is their inverse, to far less than a level of 8 bits.
-        return np.stack([np.interp(light[..., k], curve(levels), levels) for k, curve in enumerate(curves)], -1)
+        return np.stack([interp(light[..., k], curve(levels), levels) for k, curve in enumerate(curves)], -1)
 
     @property
     def is_srgb(self) -> bool:
@@ -199,7 +200,7 @@ def exif_colors(color_space: object, interoperability: object) -> ColorStatement
 
 
 def _power(exponent: float) -> Curve:
-    return lambda values: np.clip(values, 0, None) ** exponent
+    return lambda values: power(np.clip(values, 0, None), exponent)
 
 
 def _of_range(curve: Curve, black: float, span: float) -> Curve:
@@ -208,7 +209,7 @@ def _of_range(curve: Curve, black: float, span: float) -> Curve:
 
 def _bt709(values: np.ndarray) -> np.ndarray:
     """The inverse of ITU-R BT.709's curve."""
-    return np.where(values < 0.081, values / 4.5, ((np.maximum(values, 0) + 0.099) / 1.099) ** (1 / 0.45))
+    return np.where(values < 0.081, values / 4.5, power((np.maximum(values, 0) + 0.099) / 1.099, 1 / 0.45))
 
 
 TRANSFERS: dict[int, Curve] = {
@@ -236,22 +237,22 @@ def _to_xyz(chromaticities: tuple[float, ...] | list[float]) -> np.ndarray:
     white, *colors = (_xyz(*chromaticities[k : k + 2]) for k in range(0, 8, 2))
     # Scaled so that equal parts of all three make the stated white.
     basis = np.stack(colors, 1)
-    if abs(np.linalg.det(basis)) < 1e-4:
+    if abs(determinant(basis)) < 1e-4:
         raise ValueError("primaries on a line")
-    return basis * np.linalg.solve(basis, white)
+    return basis * matmul(inverse(basis), white)
 
 
 def _adapted(white: np.ndarray, target: np.ndarray) -> np.ndarray:
     """[3, 3] XYZ under a white to XYZ under another one."""
     # Von Kries in Bradford's cone space, as ICC and CSS adapt whites.
-    gains = (BRADFORD @ target) / (BRADFORD @ white)
-    return np.linalg.inv(BRADFORD) @ (gains[:, None] * BRADFORD)
+    gains = matmul(BRADFORD, target) / matmul(BRADFORD, white)
+    return matmul(inverse(BRADFORD), gains[:, None] * BRADFORD)
 
 
 def primaries_to_srgb(chromaticities: tuple[float, ...] | list[float]) -> np.ndarray:
     srgb = CHROMATICITIES[1]
     adapted = _adapted(_xyz(*chromaticities[:2]), _xyz(*srgb[:2]))
-    return np.linalg.inv(_to_xyz(srgb)) @ adapted @ _to_xyz(chromaticities)
+    return matmul(matmul(inverse(_to_xyz(srgb)), adapted), _to_xyz(chromaticities))
 
 
 # ---- ICC profiles of a matrix and curves
@@ -269,8 +270,8 @@ def matrix_profile(profile: bytes) -> ColorStatement | None:
         columns = [np.array(struct.unpack_from(">3i", tags[name], 8)) / 65536 for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
         curves = tuple(_icc_curve(tags[name]) for name in (b"rTRC", b"gTRC", b"bTRC"))
         srgb = CHROMATICITIES[1]
-        to_srgb = np.linalg.inv(_to_xyz(srgb)) @ _adapted(D50, _xyz(*srgb[:2]))
-        matrix = to_srgb @ np.stack(columns, 1)
+        to_srgb = matmul(inverse(_to_xyz(srgb)), _adapted(D50, _xyz(*srgb[:2])))
+        matrix = matmul(to_srgb, np.stack(columns, 1))
         return ColorStatement("embedded", matrix, curves) if np.isfinite(matrix).all() else None
     except (KeyError, struct.error, ValueError, IndexError):
         return None
@@ -299,7 +300,7 @@ def _icc_curve(tag: bytes) -> Curve:
             raise ValueError("a curve of too many entries")
         table = np.array(struct.unpack_from(f">{count}H", tag, 12)) / 65535
         positions = np.linspace(0, 1, count)
-        return lambda values: np.interp(values, positions, table)
+        return lambda values: interp(values, positions, table)
     if kind != b"para":
         raise ValueError("no curve")
     (function,) = struct.unpack_from(">H", tag, 8)
@@ -310,6 +311,6 @@ def _icc_curve(tag: bytes) -> Curve:
         return _power(g)
     if function in (1, 2):
         offset = c if function == 2 else 0.0
-        return lambda values: np.where(a * values + b >= 0, np.maximum(a * values + b, 0) ** g, 0) + offset
+        return lambda values: np.where(a * values + b >= 0, power(np.maximum(a * values + b, 0), g), 0) + offset
     e, f = (e, f) if function == 4 else (0.0, 0.0)
-    return lambda values: np.where(values >= d, np.maximum(a * values + b, 0) ** g + e, c * values + f)
+    return lambda values: np.where(values >= d, power(np.maximum(a * values + b, 0), g) + e, c * values + f)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from splatpainter.kernels.portable import arctan2, cos, exp, hypot, sin
 from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def catmull_rom(points: np.ndarray, count: int) -> np.ndarray:
     k = np.minimum(at.astype(int), len(points) - 2)
     t = (at - k)[:, None]
     a, b, c, d = (ends[k + j] for j in range(4))
-    return 0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
+    return 0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**2 * t)
 
 
 def draw_stroke(
@@ -155,14 +156,14 @@ def draw_sticker(
         stamp = np.concatenate([stamp, np.ones_like(stamp[..., :1])], -1)
     out = np.zeros((*shape, 4), np.float32)
     longest = max(stamp.shape[:2])
-    box = _box(shape, *center, math.hypot(*stamp.shape[:2]) / longest * size / 2 + 1)
+    box = _box(shape, *center, hypot(*stamp.shape[:2]) / longest * size / 2 + 1)
     if box is None:
         return out
     shrink = max(int(longest / (size * 2)), 1)  # bilinear looks at 2 x 2 pixels: bring it near them first
     packed = Image.fromarray((np.clip(stamp, 0, 1) * 255 + 0.5).astype(np.uint8), "RGBA").reduce(shrink)
     scale, turn = longest / shrink / (size * SUPERSAMPLING), math.radians(angle)  # source pixels per fine pixel
     # Pillow wants the inverse map: from pixels of the result to those of the stamp.
-    a, b = math.cos(turn) * scale, -math.sin(turn) * scale
+    a, b = cos(turn) * scale, -sin(turn) * scale
     x, y = (center[0] - box[1].start) * SUPERSAMPLING, (center[1] - box[0].start) * SUPERSAMPLING
     matrix = (a, b, packed.width / 2 - a * x - b * y, -b, a, packed.height / 2 + b * x - a * y)
     big = ((box[1].stop - box[1].start) * SUPERSAMPLING, (box[0].stop - box[0].start) * SUPERSAMPLING)
@@ -178,11 +179,11 @@ def round_spot(
     """[H, W] coverage of an irregular round spot: its radius swings by a third. softness: 0..1 of the radius."""
     y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) + np.float32(0.5) for n in shape), indexing="ij")
     dx, dy = x - np.float32(center[0]), y - np.float32(center[1])
-    angle, reach = np.arctan2(dy, dx), np.hypot(dx, dy)
+    angle, reach = arctan2(dy, dx), hypot(dx, dy)
     edge = np.full(shape, radius, np.float32)
     # A few harmonics of the angle: round, but not a circle.
     for k in (2, 3, 5):
-        edge += radius * rng.uniform(-0.14, 0.14) * np.cos(k * angle + rng.uniform(0, 2 * np.pi)).astype(np.float32)
+        edge += radius * rng.uniform(-0.14, 0.14) * cos(k * angle + np.float32(rng.uniform(0, 2 * np.pi)))
     fall = np.clip((edge - reach) / max(softness * radius, 0.8), 0, 1)
     return fall * fall * (3 - 2 * fall)
 
@@ -213,7 +214,7 @@ def solid_layer(coverage: np.ndarray, color: tuple[float, ...]) -> np.ndarray:
 def gaussian_blur(image: np.ndarray, radius: float) -> np.ndarray:
     """[H, W, C] after a Gaussian of standard deviation `radius` pixels; edges are repeated."""
     reach = max(math.ceil(3 * radius), 1)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(radius, 1e-3)) ** 2).astype(np.float32)
+    kernel = exp(-0.5 * (np.arange(-reach, reach + 1) / max(radius, 1e-3)) ** 2).astype(np.float32)
     kernel /= kernel.sum()
     out = image.astype(np.float32)
     for axis in (0, 1):

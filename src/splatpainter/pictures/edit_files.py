@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import field, replace
@@ -277,7 +278,7 @@ def has_aspect(size: tuple[int, int], target: tuple[int, int]) -> bool:
     MAX_ASPECT_ERROR, or be a pixel off."""
     (width, height), (w, h) = size, target
     # Small pictures are off by a whole pixel, which is more than a per cent of them.
-    scale = (width * height / (w * h)) ** 0.5
+    scale = math.sqrt(width * height / (w * h))
     rounding = abs(width - w * scale) <= 1 and abs(height - h * scale) <= 1
     return rounding or abs((width / height) / (w / h) - 1) <= MAX_ASPECT_ERROR
 

@@ -47,7 +47,7 @@ def larger_view(view: Camera, width: int, height: int, max_pixels: float = math.
     if scale < LARGER.min_scale or abs(view.height * scale - height) > math.ceil(scale):
         return None
     shrink = min(
-        1, LARGER.max_larger_px / max(width, height), LARGER.max_scale / scale, (max_pixels / (width * height)) ** 0.5
+        1, LARGER.max_larger_px / max(width, height), LARGER.max_scale / scale, math.sqrt(max_pixels / (width * height))
     )
     larger = view.resized(max(1, int(width * shrink + 1e-6)), max(1, int(height * shrink + 1e-6)))
     return larger if larger.width > LARGER.min_scale * view.width else None

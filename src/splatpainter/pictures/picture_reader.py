@@ -33,6 +33,7 @@ from splatpainter.image_files import (
     read_deep,
 )
 from splatpainter.kernels.parallel import each
+from splatpainter.kernels.portable import matmul
 from splatpainter.pictures.color_profiles import (
     ColorStatement,
     PngColors,
@@ -450,7 +451,7 @@ def _of_srgb_primaries(light: np.ndarray, primaries: tuple[float, ...] | None) -
         matrix = primaries_to_srgb(primaries)
     except ValueError:  # they make no sense
         return light
-    return light if np.abs(matrix - np.eye(3)).max() < 1e-3 else (light @ matrix.T).astype(np.float32)
+    return light if np.abs(matrix - np.eye(3)).max() < 1e-3 else (matmul(light, matrix.T)).astype(np.float32)
 
 
 def unpremultiplied(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io.positions import Offset, is_coarse, offset_of, relative, steps_in_sizes
+from splatpainter.kernels.portable import arccos, arctan2, cos, length, matmul, sin
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix, sh_rotations, snapped
@@ -81,7 +82,7 @@ class Placement:
     def point_before(self, point: np.ndarray) -> np.ndarray:
         """[3] float64 the point of the asset's own axes that a point of the scene is; both in world coordinates."""
         turn = quat_to_matrix(np.array(self.quat)[None])[0]
-        return (turn.T @ (np.asarray(point, float) - np.array(self.move))) / self.scale
+        return matmul(turn.T, np.asarray(point, float) - np.array(self.move)) / self.scale
 
     @staticmethod
     def of(
@@ -98,8 +99,8 @@ class Placement:
         for axis, degrees in enumerate(turn):
             # Whole turns are taken off first, so that 360000 degrees lose nothing to rounding.
             half = math.radians(math.remainder(degrees, 720.0)) / 2
-            step = [math.cos(half), 0.0, 0.0, 0.0]
-            step[1 + axis] = math.sin(half)
+            step = [cos(half), 0.0, 0.0, 0.0]
+            step[1 + axis] = sin(half)
             quat = _product((step[0], step[1], step[2], step[3]), quat)
         # Right angles give exact numbers: a quarter turn must not leave 1e-17 in every mean.
         w, x, y, z = (float(value) for value in snapped(np.array(quat)))
@@ -146,11 +147,11 @@ class Placement:
         """Degrees about x, then y, then z (`of`); about y within 90."""
         # The inverse of `of`: first z, then y, then x, with the one case where two of them coincide.
         m = self.matrix
-        y = math.asin(max(-1.0, min(1.0, -m[2, 0])))
+        y = arctan2(-m[2, 0], length(m[2, 1:]))
         if abs(m[2, 0]) < 1 - 1e-9:
-            x, z = math.atan2(m[2, 1], m[2, 2]), math.atan2(m[1, 0], m[0, 0])
+            x, z = arctan2(m[2, 1], m[2, 2]), arctan2(m[1, 0], m[0, 0])
         else:  # x and z turn about one axis
-            x, z = math.atan2(-m[1, 2], m[1, 1]), 0.0
+            x, z = arctan2(-m[1, 2], m[1, 1]), 0.0
         return (math.degrees(x), math.degrees(y), math.degrees(z))
 
     @property
@@ -165,7 +166,7 @@ class Placement:
         if self.move != (0, 0, 0):
             parts.append(f"moved by {_listed(self.move)}")
         if self.turns:
-            angle = math.degrees(2 * math.acos(min(abs(self.quat[0]), 1.0)))
+            angle = math.degrees(2 * arccos(min(abs(self.quat[0]), 1.0)))
             parts.append(f"turned by {angle:.4g} degrees")
         if self.scale != 1:
             parts.append(f"scaled by {self.scale:.6g}")
@@ -227,8 +228,8 @@ class Placement:
         # The camera goes the other way instead of the asset: nothing has to be copied.
         view = np.asarray(camera.world_to_camera, np.float64)
         inside = np.eye(4)
-        inside[:3, :3] = view[:3, :3] @ self.matrix
-        inside[:3, 3] = (view[:3, :3] @ np.array(self.move) + view[:3, 3]) / self.scale
+        inside[:3, :3] = matmul(view[:3, :3], self.matrix)
+        inside[:3, 3] = (matmul(view[:3, :3], np.array(self.move)) + view[:3, 3]) / self.scale
         return replace(camera, world_to_camera=inside)
 
     def _turned_sh(self, sh: np.ndarray) -> np.ndarray:

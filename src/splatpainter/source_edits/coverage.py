@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
+from splatpainter.kernels.portable import dot, sin
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -25,8 +26,9 @@ CANDIDATE_PX = 96
 """Side of their pictures."""
 CELLS_PER_RADIUS = 48
 """Cells along the asset's radius; the surface has one sample in each, and for each side."""
-FACING_COSINES = (math.cos(math.radians(75)), math.cos(math.radians(62)))
-"""Cosines from which a view reaches a surface, and from which fully; between them the mask is soft."""
+FACING_COSINES = (0.25881904510252074, 0.46947156278589086)
+"""Cosines (of 75 and 62 degrees) from which a view reaches a surface, and from which fully; the mask is soft between
+them."""
 MAX_SLOPE = 5.0
 """Change of depth from one pixel to the next, in pixels' widths there, above which it breaks."""
 MIN_STEP = 0.008
@@ -183,13 +185,13 @@ def plan_views(
 
     # Candidates all around, small: only what they see of the surface matters, not how it looks.
     center, radius = bounding_sphere(splats)
-    distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV / 2))
+    distance = FRAME_MARGIN * radius / sin(math.radians(FOV / 2))
     axis = UPS[AUTO_UP if up == "auto" else up]
     cameras = spherical_cameras(
         center, distance, CANDIDATE_VIEWS, size=CANDIDATE_PX, fov=FOV, up=axis, backgrounds=(background,)
     )
     cameras = [camera.local for camera in cameras]
-    heights = np.array([(camera.position - center) @ axis / distance for camera in cameras])
+    heights = np.array([dot(camera.position - center, np.asarray(axis, float)) / distance for camera in cameras])
     # Image models know objects as people photograph them: views from far above or below come last.
     preferred = np.where((heights > USUAL_HEIGHTS[0]) & (heights < USUAL_HEIGHTS[1]), 1, UNUSUAL_WEIGHT)
     if first is not None:

@@ -17,6 +17,7 @@ import numpy as np
 from splatpainter.cameras import Camera, look_at
 from splatpainter.holes.body import body_or_selection
 from splatpainter.holes.fill import Filled, fill_hole, painted
+from splatpainter.kernels.portable import tan
 from splatpainter.lift.masks import dilated
 from splatpainter.painter import Asset
 from splatpainter.receipts import Receipt, untouched_hashes
@@ -123,7 +124,7 @@ def facing(filled: Filled, splats: Splats, new: np.ndarray, size: int = VIEW_PX)
     towards = filled.camera
     assert towards is not None
     width = filled.size_px * float(towards.to_camera(center)[2]) / towards.fx
-    distance = VIEW_SIDES * width / (2 * math.tan(math.radians(VIEW_FOV / 2)))
+    distance = VIEW_SIDES * width / (2 * tan(math.radians(VIEW_FOV / 2)))
     cameras = []
     for side in (-1, 1):
         eye = center + side * distance * towards.forward

@@ -18,6 +18,7 @@ from splatpainter.color import from_display, to_display
 from splatpainter.gatekeeper.gatekeeper import AdmittedPicture, RefusedPicture, admit
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import to_uint8
+from splatpainter.kernels.portable import matmul
 from splatpainter.painter import Edit, Mode
 from splatpainter.sources.picture_source import (
     CancelFlag,
@@ -179,7 +180,7 @@ class _Maps:
             passes = draw_passes(self._splats, self._camera, ("depth", "normal"), surface=surface)
             assert passes.normal is not None
             solid = passes.alpha > 0.5
-            turned = passes.normal @ self._camera.world_to_camera[:3, :3].T
+            turned = matmul(passes.normal, self._camera.world_to_camera[:3, :3].T)
             self._drawn = (
                 np.where(solid, passes.depth, 0).astype(np.float32),
                 np.where(solid[..., None], turned, 0).astype(np.float32),

@@ -143,7 +143,7 @@ def _colors(points: np.ndarray, normals: np.ndarray, near: np.ndarray, views: li
         some = np.flatnonzero(visible)
         at = row[some], column[some]
         some = some[np.abs(depth[at] - z[some]) < BAKING.depth_voxels * voxel]
-        share = facing[some] ** 4
+        share = (facing[some] ** 2) ** 2
         total[some] += share[:, None] * colors[row[some], column[some]]
         weight[some] += share
     return np.where(weight[:, None] > 0, total / np.maximum(weight, 1e-9)[:, None], near)

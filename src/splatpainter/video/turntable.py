@@ -4,6 +4,7 @@ the length of a turntable is bounded by patience, not by memory."""
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -15,6 +16,7 @@ import numpy as np
 from splatpainter.cameras import Camera, orbit
 from splatpainter.color import to_display
 from splatpainter.image_files import quantized
+from splatpainter.kernels.portable import arctan2, dot, length
 from splatpainter.pictures.picture_reader import unpremultiplied
 from splatpainter.rendering import render
 from splatpainter.rendering.profiles import Profile
@@ -85,14 +87,14 @@ def turn(camera: Camera, center: np.ndarray, up: Sequence[float], count: int, de
     at the centre. up: [3] world direction of the axis. degrees: of the whole turn, counter-clockwise seen from above;
     after a full one the next view would be the first again, else the last is at its end."""
     # The first view as height and angle about the axis; the others keep both distance and height.
-    axis = np.asarray(up, float) / np.linalg.norm(up)
+    axis = np.asarray(up, float) / length(np.asarray(up, float))
     away = camera.position - center
-    height = float(away @ axis)
+    height = dot(away, axis)
     flat = away - height * axis
-    distance = max(float(np.linalg.norm(away)), 1e-6)
-    tilt = float(np.degrees(np.arctan2(height, max(np.linalg.norm(flat), 1e-9))))
+    distance = max(length(away), 1e-6)
+    tilt = math.degrees(arctan2(height, max(length(flat), 1e-9)))
     zero = orbit(center, distance, 1, elevation=0, up=axis)[0].position - center
-    start = float(np.degrees(np.arctan2(float(np.cross(zero, flat) @ axis), float(zero @ flat))))
+    start = math.degrees(arctan2(dot(np.cross(zero, flat), axis), dot(zero, flat)))
     steps = turn_angles(count, degrees)
     ring = (orbit(center, distance, 1, elevation=tilt, start=start + step, up=axis)[0] for step in steps.tolist())
     return [replace(camera, world_to_camera=view.world_to_camera) for view in ring]

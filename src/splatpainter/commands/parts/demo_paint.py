@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.portable import cos, exp, inverse, power, sin
 from splatpainter.pictures.drawing import centered_text
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ def stroke(size: int, start: tuple[float, float], end: tuple[float, float], widt
     t = (x - start[0]) / (end[0] - start[0])
     s = np.clip(t, 1e-3, 0.999)
     # A hand does not draw straight: it swings, and less towards the end.
-    path = start[1] + (end[1] - start[1]) * s + wave * np.sin(math.pi * (2.1 * s - 0.15)) * (1 - 0.35 * s)
-    pressure = 0.2 + 0.8 * np.sin(math.pi * s**0.6) ** 0.6
+    path = start[1] + (end[1] - start[1]) * s + wave * sin(math.pi * (2.1 * s - 0.15)) * (1 - 0.35 * s)
+    pressure = 0.2 + 0.8 * power(np.maximum(sin(math.pi * power(s, 0.6)), 0), 0.6)
     cap = np.sqrt(1 - (1 - np.minimum(s / 0.03, 1)) ** 2)  # the brush touches down round
     radius = width / 2 * pressure * cap
     across = (y - path) / radius  # -1..1 over the width
@@ -85,7 +86,7 @@ def sun() -> Image:
     for k in range(rays * 2):
         reach = outer if k % 2 == 0 else inner
         angle = math.pi * k / rays
-        corners.append((middle + reach * math.sin(angle), middle - reach * math.cos(angle)))
+        corners.append((middle + reach * sin(angle), middle - reach * cos(angle)))
     draw.polygon(corners, fill=(240, 120, 24, 255))
     _disc(draw, middle, middle, 0.285 * big, (255, 205, 52, 255))
     for side in (-1, 1):
@@ -110,12 +111,11 @@ def laid_down(
 
     # Laid on the board and seen in perspective: a flat picture would float before it.
     turn = math.radians(facing)
-    right, near = np.array([math.cos(turn), 0, -math.sin(turn)]), np.array([math.sin(turn), 0, math.cos(turn)])
+    right, near = np.array([cos(turn), 0, -sin(turn)]), np.array([sin(turn), 0, cos(turn)])
     middle = np.array(center)
     world = [middle + radius * (a * right + b * near) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     seen = camera.project(np.array(world))[0] * SUPERSAMPLING
-    flat = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * sticker.width
-    solution = _homography(seen, flat)
+    solution = _to_square(seen, sticker.width)
     big = (camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
     # Colours times alpha before anything is averaged, or the border would turn dark.
     straight = np.asarray(sticker, np.float32) / 255
@@ -130,10 +130,10 @@ def evening(picture: np.ndarray) -> np.ndarray:
     width = picture.shape[1]
     x = (np.arange(width) + 0.5) / width
     # From warm to cool across the picture, as a low sun from one side lights it.
-    light = 1 / (1 + np.exp(8 * (x - 0.56)))  # 1 left .. 0 right
+    light = 1 / (1 + exp(8 * (x - 0.56)))  # 1 left .. 0 right
     warm, cool = np.array([1.20, 0.94, 0.62]), np.array([0.62, 0.52, 0.66])
     gain = cool + light[None, :, None] * (warm - cool)
-    return np.clip(np.clip(picture, 0, 1) ** 1.1 * gain, 0, 1).astype(np.float32)
+    return np.clip(power(np.clip(picture, 0, 1), 1.1) * gain, 0, 1).astype(np.float32)
 
 
 def painted(picture: np.ndarray, camera: Camera) -> np.ndarray:
@@ -152,14 +152,16 @@ def _disc(draw: ImageDraw, x: float, y: float, radius: float, fill: tuple[int, .
     draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=fill)
 
 
-def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """[8] coefficients of Pillow's perspective transform that takes four points [4, 2] to four others."""
-    rows = []
-    # Two equations for each point; four points give the eight unknowns.
-    for (x, y), (u, v) in zip(source, target, strict=True):
-        rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
-        rows.append([0, 0, 0, x, y, 1, -v * x, -v * y])
-    return np.linalg.solve(np.array(rows), target.reshape(-1))
+def _to_square(corners: np.ndarray, side: float) -> np.ndarray:
+    """[8] coefficients of Pillow's perspective transform that takes four corners [4, 2], in turn, to those of a square
+    from the origin on (Heckbert, Fundamentals of texture mapping and image warping, 1989)."""
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = corners
+    (ax, ay), (bx, by), (cx, cy) = (x1 - x2, y1 - y2), (x3 - x2, y3 - y2), (x0 - x1 + x2 - x3, y0 - y1 + y2 - y3)
+    # From the unit square to the corners; the way back is the inverse.
+    g, h = ((cx * by - bx * cy) / (ax * by - bx * ay), (ax * cy - cx * ay) / (ax * by - bx * ay))
+    forwards = [[x1 - x0 + g * x1, x3 - x0 + h * x3, x0], [y1 - y0 + g * y1, y3 - y0 + h * y3, y0], [g, h, 1.0]]
+    back = inverse(np.array(forwards)) * np.array([[side], [side], [1.0]])
+    return (back / back[2, 2]).reshape(-1)[:8]
 
 
 def _reduced(values: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.portable import matmul
 from splatpainter.server import picking
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
@@ -62,4 +63,4 @@ def surface_point(session: Session, camera: Camera, x: float, y: float, what: st
     depth = float(seen[0]) if trusted else float(camera.to_camera(splats.means[hit.gaussian_id])[2])
     normal = seen[1:].astype(float) if trusted else -ray
     rotation = camera.world_to_camera[:3, :3]
-    return CopyAnchor.of(camera.to_world(depth * ray), normal @ rotation, rotation[0]), depth
+    return CopyAnchor.of(camera.to_world(depth * ray), matmul(normal, rotation), rotation[0]), depth

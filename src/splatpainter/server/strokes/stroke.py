@@ -186,7 +186,7 @@ class Stroke:
         changed = moved[row_max(change) > MIN_COLOR_CHANGE]
         canvas.sent[changed] = canvas.colors.take(changed, 0)
         # Frames want their Gaussians in ascending order.
-        changed = changed[np.argsort(view.gaussian_ids[changed])]
+        changed = changed[np.argsort(view.gaussian_ids[changed], kind="stable")]
         ids = view.gaussian_ids[changed]
         return ids, recolor(splats.sh.take(ids, 0), view.unclamped_of(changed), canvas.colors.take(changed, 0))
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from splatpainter.io import files
+from splatpainter.kernels.portable import matmul
 from splatpainter.painter import Edit
 from splatpainter.session.commands.session_core import SessionCore
 from splatpainter.session.document.document import Document, Layer, add_layer, add_stroke, change_layer
@@ -117,8 +118,8 @@ def relief_on_asset(core: SessionCore, relief: ReliefLayer) -> tuple[str, Relief
     asset, placement = scene.parts[numbers[0]].asset, scene.parts[numbers[0]].placement
 
     def inside(anchor: CopyAnchor) -> CopyAnchor:
-        point = placement.matrix.T @ (anchor.point - np.array(placement.move)) / placement.scale
-        return CopyAnchor(point, placement.matrix.T @ anchor.axes)
+        point = placement.point_before(anchor.point)
+        return CopyAnchor(point, matmul(placement.matrix.T, anchor.axes))
 
     return asset.id, ReliefLayer(inside(relief.source), inside(relief.target), relief.radius / placement.scale)
 

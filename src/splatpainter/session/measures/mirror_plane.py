@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import Camera
+from splatpainter.kernels.portable import cos, dot, length, matmul, sin, symmetric_axes
 from splatpainter.order_statistics import groups, row_keys
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -46,7 +47,7 @@ class MirrorPlane:
     def mirrored(self, points: np.ndarray) -> np.ndarray:
         """[..., 3] points on the other side."""
         normal = np.asarray(self.normal)
-        return points - 2 * (points @ normal - self.offset)[..., None] * normal
+        return points - 2 * (matmul(points, normal) - self.offset)[..., None] * normal
 
 
 def parsed_plane(normal: tuple[float, float, float] | list[float], offset: float) -> MirrorPlane:
@@ -55,9 +56,8 @@ def parsed_plane(normal: tuple[float, float, float] | list[float], offset: float
     valid = vector.shape == (3,) and 1e-9 < float(np.abs(vector).max()) < 1e9
     if not (valid and np.isfinite(offset)):
         raise ValueError("mirror: expected a normal of three numbers, not all 0, and a finite offset")
-    length = float(np.linalg.norm(vector))
-    x, y, z = (float(value) for value in vector / length)
-    return MirrorPlane((x, y, z), float(offset) / length)
+    x, y, z = (float(value) for value in vector / length(vector))
+    return MirrorPlane((x, y, z), float(offset) / length(vector))
 
 
 def mirrored_camera(camera: Camera, plane: MirrorPlane) -> Camera:
@@ -65,10 +65,10 @@ def mirrored_camera(camera: Camera, plane: MirrorPlane) -> Camera:
     left and right exchanged."""
     normal = np.asarray(plane.normal)
     reflection = np.eye(3) - 2 * np.outer(normal, normal)
-    rotation = np.diag([-1.0, 1.0, 1.0]) @ camera.world_to_camera[:3, :3] @ reflection
+    rotation = matmul(camera.world_to_camera[:3, :3], reflection) * np.array([[-1.0], [1.0], [1.0]])
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = rotation
-    world_to_camera[:3, 3] = -rotation @ plane.mirrored(camera.position)
+    world_to_camera[:3, 3] = -matmul(rotation, plane.mirrored(camera.position))
     return replace(camera, cx=camera.width - camera.cx, world_to_camera=world_to_camera)
 
 
@@ -77,22 +77,22 @@ def find_mirror_plane(splats: Splats, up: tuple[float, float, float]) -> MirrorP
     points, spacing = _thinned(splats)
     middle = points.mean(0)
     # Axes and principal axes are tried as well: an asset that is symmetric often stands along one of them.
-    principal = np.linalg.svd(points - middle, full_matrices=False)[2]
+    principal = symmetric_axes(matmul((points - middle).T, points - middle))[1].T
     directions = np.concatenate([np.eye(3), principal, _hemisphere(TRIED_DIRECTIONS)])
     upward = np.asarray(up, float)
 
     def cost(normal: np.ndarray, offset: float) -> float:
-        mirrored = points - 2 * (points @ normal - offset)[:, None] * normal
+        mirrored = points - 2 * (matmul(points, normal) - offset)[:, None] * normal
         return float(np.minimum(_nearest(mirrored, points)[1] / (MAX_PARTNER_SPACINGS * spacing), 1).mean())
 
     def ranked(normal: np.ndarray, offset: float) -> float:
-        return cost(normal, offset) + UPRIGHT_BONUS * abs(float(normal @ upward))
+        return cost(normal, offset) + UPRIGHT_BONUS * abs(dot(normal, upward))
 
-    first = sorted(((ranked(n, float(n @ middle)), k) for k, n in enumerate(directions)))
+    first = sorted(((ranked(n, dot(n, middle)), k) for k, n in enumerate(directions)))
     best: tuple[float, np.ndarray, float] | None = None
     # Several are refined, as the best of the coarse ones need not lead to the best.
     for _, k in first[:REFINED_PLANES]:
-        normal, offset = directions[k], float(directions[k] @ middle)
+        normal, offset = directions[k], dot(directions[k], middle)
         score = ranked(normal, offset)
         for _ in range(REFINEMENT_STEPS):
             finer = _refined(points, normal, offset, MAX_PARTNER_SPACINGS * spacing)
@@ -136,19 +136,19 @@ def _hemisphere(count: int) -> np.ndarray:
     height = (k + 0.5) / count
     angle = k * np.pi * (3 - np.sqrt(5))
     ring = np.sqrt(1 - height**2)
-    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], 1)
+    return np.stack([ring * cos(angle), ring * sin(angle), height], 1)
 
 
 def _nearest(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([Q] int64 nearest point, [Q] its distance)."""
-    squares = (queries**2).sum(1)[:, None] + (points**2).sum(1)[None] - 2 * queries @ points.T
+    squares = (queries**2).sum(1)[:, None] + (points**2).sum(1)[None] - 2 * matmul(queries, points.T)
     index = squares.argmin(1)
     return index, np.linalg.norm(queries - points[index], axis=1)
 
 
 def _refined(points: np.ndarray, normal: np.ndarray, offset: float, reach: float) -> tuple[np.ndarray, float] | None:
     """The plane that brings points nearest to the partners that they have now; None: too few have one."""
-    mirrored = points - 2 * (points @ normal - offset)[:, None] * normal
+    mirrored = points - 2 * (matmul(points, normal) - offset)[:, None] * normal
     index, distance = _nearest(mirrored, points)
     # Points without a partner (a handle on one side) would pull the plane towards them.
     paired = distance < reach
@@ -156,6 +156,6 @@ def _refined(points: np.ndarray, normal: np.ndarray, offset: float, reach: float
         return None
     ours, theirs = points[paired], points[index[paired]]
     first, second = ours - ours.mean(0), theirs - theirs.mean(0)
-    products = first.T @ second
-    finer = np.linalg.eigh(products + products.T)[1][:, 0]
-    return finer, float(finer @ (ours.mean(0) + theirs.mean(0)) / 2)
+    products = matmul(first.T, second)
+    finer = symmetric_axes(products + products.T)[1][:, 0]
+    return finer, dot(finer, ours.mean(0) + theirs.mean(0)) / 2

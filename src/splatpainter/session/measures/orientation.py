@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, look_at, orbit
+from splatpainter.kernels.portable import arctan2, dot, length, sin
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -51,7 +52,7 @@ def habitual_front(up: str) -> float:
 def measure(splats: Splats, up: str | None = None) -> Orientation:
     """The orientation of an asset, numpy. up: that was said already; None: it is measured too."""
     center, radius = bounding_sphere(splats)
-    distance = FRAME_MARGIN * radius / math.sin(math.radians(FOV_DEGREES / 2))
+    distance = FRAME_MARGIN * radius / sin(math.radians(FOV_DEGREES / 2))
     # Nothing to look at: the habit of the format stands.
     if not (math.isfinite(distance) and distance > 0):
         return Orientation(up or AUTO_UP, habitual_front(up or AUTO_UP))
@@ -124,10 +125,10 @@ def azimuth_of(forward: np.ndarray, up: str) -> float:
     axis = np.asarray(UPS[up], float)
     zero = orbit((0, 0, 0), 1.0, 1, elevation=0, up=UPS[up])[0].forward
     quarter = orbit((0, 0, 0), 1.0, 1, elevation=0, start=90, up=UPS[up])[0].forward
-    flat = np.asarray(forward, float) - float(np.dot(forward, axis)) * axis
-    if np.linalg.norm(flat) < 1e-6:
+    flat = np.asarray(forward, float) - dot(np.asarray(forward, float), axis) * axis
+    if length(flat) < 1e-6:
         return 0.0
-    return float(np.degrees(np.arctan2(flat @ quarter, flat @ zero))) % 360
+    return math.degrees(arctan2(dot(flat, quarter), dot(flat, zero))) % 360
 
 
 def parsed_direction(text: str) -> np.ndarray:
