@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from splatpainter.kernels.parallel import THREADS_VARIABLE, _Helper, ahead, beside, each, run
+from splatpainter.kernels.parallel import THREADS_VARIABLE, _Helper, ahead, alone, at_most, beside, each, run, threads
 
 
 @pytest.fixture(autouse=True)
@@ -83,6 +83,19 @@ def test_items_are_made_one_ahead_and_never_two(threads: str, monkeypatch: pytes
     assert done == list(range(6)) and len(made) == 6
     assert (threading.get_ident() in made) == (threads == "1")
     assert list(ahead([])) == []
+
+
+@pytest.mark.parametrize(("count", "expected"), [(1, 1), (2, 1), (4, 3)])
+def test_what_is_made_ahead_leaves_a_thread_to_who_uses_it(
+    count: int, expected: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(THREADS_VARIABLE, str(count))
+    assert list(ahead(threads() for _ in range(3))) == [expected] * 3
+    with at_most(2):
+        assert list(ahead(threads() for _ in range(2))) == [min(expected, 1)] * 2 and threads() == min(count, 2)
+        with alone():
+            assert threads() == 1
+    assert threads() == count
 
 
 def test_items_that_are_made_at_once_come_no_earlier(monkeypatch: pytest.MonkeyPatch):

@@ -231,7 +231,9 @@ def write(
         raise ValueError(f"{location}: already exists; choose another name or allow overwriting")
     options.check(FORMATS[key].write_options, str(location))
     # Rows as this format has them: whole arrays, options, offset, and last the axes.
-    rows = _at_offset(canonical(options.applied(canonical(splats))), FORMATS[key])
+    rows = canonical(splats)
+    applied = options.applied(rows)
+    rows = _at_offset(rows if applied is rows else canonical(applied), FORMATS[key])
     if FORMATS[key].names_axes:
         writer(location, rows, axes=axes, **options.keywords())
     else:

@@ -29,11 +29,17 @@ def cpus() -> int:
 
 
 def threads() -> int:
-    """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else `cpus()`; 1 inside `each` and `alone`.
-    Raises ValueError when the variable is not a positive integer."""
+    """Threads per kernel: the environment variable SPLATPAINTER_THREADS, else `cpus()`; 1 inside `each`, and no more
+    than `at_most` says. Raises ValueError when the variable is not a positive integer."""
     # Items are shared among threads already; each of them runs its kernels alone.
-    if getattr(_local, "is_alone", False):
+    most = getattr(_local, "most", None)
+    if most == 1:
         return 1
+    count = _all_threads()
+    return count if most is None else min(most, count)
+
+
+def _all_threads() -> int:
     text = os.environ.get(THREADS_VARIABLE)
     if not text:
         return cpus()
@@ -77,15 +83,20 @@ def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Resu
     return results
 
 
-@contextlib.contextmanager
-def alone() -> Iterator[None]:
+def alone() -> contextlib.AbstractContextManager[None]:
     """Kernels that this thread calls inside run on it alone: of work that is to leave the other CPUs free."""
-    before = getattr(_local, "is_alone", False)
-    _local.is_alone = True
+    return at_most(1)
+
+
+@contextlib.contextmanager
+def at_most(count: int) -> Iterator[None]:
+    """Kernels that this thread calls inside run on so many threads, or fewer."""
+    before = getattr(_local, "most", None)
+    _local.most = count if before is None else min(count, before)
     try:
         yield
     finally:
-        _local.is_alone = before
+        _local.most = before
 
 
 def beside(function: Callable[[], Result]) -> Callable[[], Result]:
@@ -119,19 +130,22 @@ def beside(function: Callable[[], Result]) -> Callable[[], Result]:
 def ahead(items: Iterable[Item]) -> Iterator[Item]:
     """The same items, each made on a thread beside the caller's while that works with the one before: memory of the one
     before the last may be used again. Raises what making them raises. With one thread they are made when asked for."""
-    if threads() == 1:
+    count = threads()
+    if count == 1:
         yield from items
         return
     source = iter(items)
     made: list[Item] = []
     ends = False
 
-    def make(thread: int, count: int) -> None:
+    def make(thread: int, helpers: int) -> None:
         nonlocal ends
-        try:
-            made.append(next(source))
-        except StopIteration:
-            ends = True
+        # One thread is with the item before.
+        with at_most(count - 1):
+            try:
+                made.append(next(source))
+            except StopIteration:
+                ends = True
 
     while True:
         # Asked before the next one begins, which a quick thread has made by the next line: it would come too early, and

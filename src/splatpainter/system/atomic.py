@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import hashlib
+import io
 import os
 import re
 import secrets
 import shutil
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 REPLACE_SECONDS = 2.0
 """How long `replace` waits for other programs to let go of a file."""
@@ -25,6 +28,11 @@ RESERVED_NAMES = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[0-9¹²³]|l
 """Devices of Windows, whatever ending follows the name."""
 RESERVED_CHARACTERS = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 
+EARLY_BYTES = 8 << 20
+"""A file of more bytes is carried to the disk while it is written. A million Gaussians (104 MB) waited 46 ms at the
+end, and 3 with this."""
+SYNC_FILE_RANGE_WRITE = 2
+"""Of sync_file_range in Linux's fs.h."""
 MAX_NAME_BYTES = 255
 """Bytes of a file name on nearly every file system."""
 MAX_BRIEF_BYTES = 100
@@ -55,19 +63,72 @@ def writing(path: Path) -> Iterator[BinaryIO]:
     target = Path(os.path.realpath(path))
     partial = target.with_name(f".{brief_name(target.name)}.{secrets.token_hex(4)}.part")
     try:
-        with open(partial, "wb") as file:
+        with io.BufferedWriter(_EarlyFile(partial, "wb")) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
         # A new file has the rights of a temporary one; one that is replaced keeps those that somebody gave it.
         if target.exists():
             copy_mode(target, partial)
-        replace(partial, target)
+        with _held(target):
+            replace(partial, target)
         sync_folder(target.parent)
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         remove(partial)
+
+
+class _EarlyFile(io.FileIO):
+    """A file that the system begins to carry to the disk while it is written: the sync at its end waits for the last
+    megabytes alone, not for all."""
+
+    _behind = 0
+    """Bytes that were written since it was told last."""
+
+    def write(self, data: Any, /) -> int:
+        count = super().write(data)
+        self._behind += count
+        if self._behind >= EARLY_BYTES:
+            self._behind = 0
+            _begin_sync(self.fileno())
+        return count
+
+
+def _begin_sync(handle: int) -> None:
+    """Begin to write out what a file has, without waiting; where the system cannot do that, nothing happens."""
+    function = _sync_function()
+    if function is not None:
+        function(handle, 0, 0, SYNC_FILE_RANGE_WRITE)  # of 0 bytes: to its end
+
+
+@functools.cache
+def _sync_function() -> Callable[[int, int, int, int], int] | None:
+    if sys.platform != "linux":
+        return None
+    import ctypes  # of large files alone
+
+    function = getattr(ctypes.CDLL(None), "sync_file_range", None)
+    if function is not None:
+        function.argtypes = (ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_uint)
+    return function
+
+
+@contextlib.contextmanager
+def _held(target: Path) -> Iterator[None]:
+    """While a large file is replaced it is kept open, and let go on a thread of its own: freeing its blocks takes as
+    long as a quarter of writing them, and nobody needs to wait for that."""
+    try:
+        # Windows replaces no file that somebody has open.
+        large = sys.platform != "win32" and os.stat(target).st_size >= EARLY_BYTES
+        handle = os.open(target, os.O_RDONLY) if large else None
+    except OSError:
+        handle = None
+    try:
+        yield
+    finally:
+        if handle is not None:
+            threading.Thread(target=os.close, args=(handle,), name="splatpainter lets go of a file").start()
 
 
 def write_text(path: Path, text: str) -> None:

@@ -24,16 +24,16 @@ from typing import BinaryIO
 
 import numpy as np
 
-from splatpainter.array_types import Floats
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.io import files, positions
 from splatpainter.io.formats import activations
 from splatpainter.io.formats.ply_header import Element, Header, element_size, make_header, read_header
-from splatpainter.io.formats.ply_rows import BinaryRows, Rows, text_rows
+from splatpainter.io.formats.ply_rows import BinaryRows, Rows, as_slice, text_rows
 from splatpainter.io.formats.reuse import differs, row_problems
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import ahead, run
-from splatpainter.kernels.row_bits import row_bits
+from splatpainter.kernels.row_bits import differing, row_bits
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, ColorSpace, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
@@ -48,8 +48,8 @@ FLOAT32_HOLDS = ("f4", "i1", "u1", "i2", "u2")
 """Types of which float32 holds every number."""
 MIN_BYTE_COLOR = 16.0
 """Largest colour of float properties from which they are taken as 0..255: light of a display is 1, of HDR a few."""
-BLOCK_ROWS = 1 << 13
-"""Rows encoded at a time when writing: 2 MB at SH degree 3, which stay in the cache."""
+BLOCK_ROWS = 1 << 14
+"""Rows encoded at a time when writing: 4 MB at SH degree 3, which stay in the cache."""
 NEW_BLOCK_ROWS = 1 << 15
 """The same of Gaussians that were in no file."""
 
@@ -388,31 +388,43 @@ def _encode(
         yield from _encode_new(splats, plan, record.rows)
         return
     # Block by block: first the bytes that rows have from the source, then over them the values that changed.
+    before = splats if old is None else old  # without old rows none of them is asked for
+    arrays, old_arrays = (
+        {name: getattr(all_rows, name).reshape(-1, len(names)) for name, names in plan.items()}
+        for all_rows in (splats, before)
+    )
+    same = {name for name in plan if getattr(before, name) is getattr(splats, name)}
     for start in range(0, len(splats), BLOCK_ROWS):
         rows = origin[start : start + BLOCK_ROWS]
-        block = record.rows.block(rows)
-        has_source = rows >= 0
-        in_place = np.array_equal(rows, np.arange(start, start + len(rows)))
+        run_of_rows = as_slice(rows)
+        block = record.rows.block(rows if run_of_rows is None else run_of_rows)
         for attribute, names in plan.items():
-            if in_place and old is not None and getattr(old, attribute) is getattr(splats, attribute):
+            if attribute in same and run_of_rows is not None and run_of_rows.start == start:
                 continue
-            new = getattr(splats, attribute)[start : start + BLOCK_ROWS].reshape(-1, len(names))
-            before = new[:0] if old is None else getattr(old, attribute).reshape(-1, len(names))
-            if _is_stored_as_it_is(attribute, splats, span) and block.put_floats(names, new, before, rows):
+            new, olds = arrays[attribute][start : start + BLOCK_ROWS], old_arrays[attribute]
+            if _is_stored_as_it_is(attribute, splats, span) and block.put_floats(names, new, olds, rows):
                 continue
             # Single values, not rows: of a row that was recoloured the position keeps its bytes.
-            changed = np.ones(new.shape, bool)
-            if old is not None and in_place:
-                changed = differs(new, before[start : start + len(rows)])
-            elif old is not None:
-                changed[has_source] = differs(new[has_source], before[rows[has_source]])
+            ids, changed = _changed(new, olds, rows, run_of_rows)
             for k in np.flatnonzero(changed.any(0)):
-                where = changed[:, k]
+                where = ids[changed[:, k]]
                 values = _to_file(attribute, new[where, k], span if k < 3 else None)
                 if attribute == "means" and splats.offset[k]:
                     values = values.astype(np.float64) + splats.offset[k]
                 block.put(names[k], where, values)
         yield start + BLOCK_ROWS >= len(splats), block.stored()
+
+
+def _changed(new: np.ndarray, before: np.ndarray, rows: np.ndarray, run_of_rows: slice | None) -> tuple[Ids, Bools]:
+    """([A] ids of rows of `new` ([M, K]), [A, K] which of their values are not those of the rows of `before` ([N, K])
+    that they come from): all that differ. rows: [M] int64, -1 for none; run_of_rows: the same as a slice, if one."""
+    if run_of_rows is not None:
+        before = before[run_of_rows]
+        ids = np.flatnonzero(differing(before, new))
+        return ids, differs(new[ids], before[ids])
+    changed, has_source = np.ones(new.shape, bool), rows >= 0
+    changed[has_source] = differs(new[has_source], before[rows[has_source]])
+    return np.arange(len(new)), changed
 
 
 def _encode_new(splats: Splats, plan: Mapping[str, tuple[str, ...]], layout: Rows) -> Iterator[tuple[bool, memoryview]]:

@@ -6,6 +6,7 @@ N rows, P properties. Knows nothing of Gaussians.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 
 from splatpainter.array_types import Floats, Ids
 from splatpainter.io.files import printable
+from splatpainter.kernels.arrays import aligned
 from splatpainter.system.quick_dataclass import dataclass
 
 TEXT_PIECE_BYTES = 1 << 20
@@ -32,7 +34,7 @@ class Block(Protocol):
     """Some rows on their way into a file: they begin as copies, values are put into them, bytes come out."""
 
     def put(self, name: str, rows: np.ndarray, values: np.ndarray) -> None:
-        """Set property `name` of `rows` (bool mask) to `values` (floats, one for each row that is set)."""
+        """Set property `name` of `rows` ([K] ids) to `values` ([K] floats)."""
         ...
 
     def put_floats(self, names: Sequence[str], values: np.ndarray, before: np.ndarray, rows: np.ndarray) -> bool:
@@ -60,8 +62,9 @@ class Rows(Protocol):
         """The bytes of all rows, as they stand."""
         ...
 
-    def block(self, rows: np.ndarray) -> Block:
-        """Copies of the given rows ([M] int64, -1 for a row of zeros), in that order."""
+    def block(self, rows: np.ndarray | slice) -> Block:
+        """Copies of the given rows ([M] int64, -1 for a row of zeros; or some that follow each other), in that
+        order."""
         ...
 
     def relayout(self, layout: Sequence[tuple[str, str, str | None]]) -> Rows:
@@ -110,10 +113,9 @@ class BinaryRows:
     def stored(self) -> memoryview:
         return self.records.view(np.uint8).data
 
-    def block(self, rows: np.ndarray) -> BinaryBlock:
-        first = int(rows[0]) if len(rows) else 0
-        if first >= 0 and np.array_equal(rows, np.arange(first, first + len(rows))):
-            return BinaryBlock(self.records[first : first + len(rows)], is_copy=False)
+    def block(self, rows: np.ndarray | slice) -> BinaryBlock:
+        if isinstance(rows, slice):
+            return BinaryBlock(self.records[rows], is_copy=False)
         copies = np.zeros(len(rows), self.records.dtype)
         copied, width = rows >= 0, self.records.dtype.itemsize
         if width and copied.any():
@@ -159,23 +161,46 @@ class BinaryBlock:
 
     def _writable(self) -> np.ndarray:
         if not self.is_copy:
-            # As bytes, too: numpy copies records field by field.
-            self.records, self.is_copy = self.records.view(np.uint8).copy().view(self.records.dtype), True
+            # As bytes, too: numpy copies records field by field. In memory of the block before the last one.
+            stored = self.records.view(np.uint8)
+            copy = aligned(stored.shape, stored.dtype)
+            copy[:] = stored
+            self.records, self.is_copy = copy.view(self.records.dtype), True
         return self.records
 
 
+def as_slice(rows: np.ndarray) -> slice | None:
+    """Rows ([M] int64, -1 for none) as a slice; None where they are not one behind the other."""
+    first = int(rows[0]) if len(rows) else 0
+    if first < 0 or not (rows[1:] - rows[:-1] == 1).all():
+        return None
+    return slice(first, first + len(rows))
+
+
+@functools.lru_cache(maxsize=4)
+def _numbered(layout: np.dtype) -> Mapping[str, int]:
+    """Column of each property of a record, counted from 0."""
+    return {name: k for k, name in enumerate(layout.names or ())}
+
+
 def _column_numbers(records: np.ndarray, names: Sequence[str]) -> Ids:
-    """[K] int64 columns of properties, counted from 0."""
-    fields = {name: k for k, name in enumerate(records.dtype.names or ())}
-    return np.array([fields[name] for name in names], np.int64)
+    """[K] int64 columns of properties."""
+    columns = _numbered(records.dtype)
+    return np.array([columns[name] for name in names], np.int64)
+
+
+@functools.lru_cache(maxsize=4)
+def _is_of_floats(layout: np.dtype) -> bool:
+    """Whether records hold float32 of this machine's byte order and nothing else."""
+    fields = layout.names or ()
+    return bool(fields) and all(layout[name] == np.float32 for name in fields)
 
 
 def _as_floats(records: np.ndarray) -> Floats | None:
-    """[N, P] float32 view of records that hold nothing else in this machine's byte order; None for others."""
-    fields = records.dtype.names or ()
-    if not fields or any(records.dtype[name] != np.float32 for name in fields):
+    """[N, P] float32 view of such records; None for others."""
+    if not _is_of_floats(records.dtype):
         return None
-    return records.view(np.float32).reshape(len(records), len(fields))
+    return records.view(np.float32).reshape(len(records), len(_numbered(records.dtype)))
 
 
 @dataclass(frozen=True)
@@ -245,7 +270,8 @@ class TextRows:
     def stored(self) -> memoryview:
         return memoryview(self.data)[self.starts[0] : self.starts[-1]]
 
-    def block(self, rows: np.ndarray) -> TextBlock:
+    def block(self, rows: np.ndarray | slice) -> TextBlock:
+        rows = np.arange(len(self))[rows] if isinstance(rows, slice) else rows
         zero = b" ".join([b"0"] * len(self.properties)) + self.newline
         lines = [zero if row < 0 else self.line(row) for row in rows]
         return TextBlock(lines, self.properties, self.newline)
@@ -270,7 +296,7 @@ class TextBlock:
     def put(self, name: str, rows: np.ndarray, values: np.ndarray) -> None:
         column = next(k for k, (n, _) in enumerate(self.properties) if n == name)
         code = np.dtype(self.properties[column][1])
-        for row, value in zip(np.flatnonzero(rows), as_type(values, code), strict=True):
+        for row, value in zip(rows, as_type(values, code), strict=True):
             # Separators are kept: only the one word changes.
             words = re.split(rb"(\s+)", self.lines[row])
             words[2 * column + (2 if words[0] == b"" else 0)] = str(value).encode()
