@@ -26,6 +26,7 @@ from splatpainter.painting.edited_picture import Edit as Edit
 from splatpainter.painting.edited_picture import LayerMethod as LayerMethod
 from splatpainter.painting.edited_picture import Method as Method
 from splatpainter.painting.edited_picture import Mode as Mode
+from splatpainter.painting.latest_view import keep_view, latest_view
 from splatpainter.painting.networks import Networks
 from splatpainter.painting.prepared_views import prepared_views
 from splatpainter.receipts import StageClock
@@ -159,15 +160,19 @@ class Painter:
         if how.encodes:
             clock.record_time("encode")
 
-        # Where pictures and asset differ decides what may change.
+        # Where pictures and asset differ decides what may change. Held until the edit is made: what is at hand of it.
+        at_hand = latest_view(asset, edits[0].camera)
         views = prepared_views(asset, edits, mode, partly=how.names_its_gaussians)
         clock.record_time("prepare")
         lifted, result = how.make(asset, views, clock)
 
         # The proof, before anybody sees the result.
-        receipt = edit_receipt(asset, result, lifted, views, mode, how, self.preset, self.settings, note)
+        receipt, renders = edit_receipt(asset, result, lifted, views, mode, how, self.preset, self.settings, note)
         clock.record_time("receipt")
-        return replace(result, receipt=replace(receipt, seconds=clock.seconds)).with_surface_of(asset)
+        result = replace(result, receipt=replace(receipt, seconds=clock.seconds)).with_surface_of(asset)
+        del at_hand
+        keep_view(asset, result, renders[0])
+        return result
 
     def choose(self, method: Method, mode: Mode) -> tuple[Method, str]:
         """What `apply` does for a method: (method, never "auto", and the one line that says why). Weights whose notes

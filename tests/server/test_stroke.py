@@ -19,6 +19,7 @@ from splatpainter.server.strokes.mirrored_stroke import MirroredStroke
 from splatpainter.server.strokes.stroke import MIN_COLOR_CHANGE, Stroke
 from splatpainter.session.measures.mirror_plane import mirrored_camera, parsed_plane
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
+from splatpainter.surface import recent_sights
 from splatpainter.surface.estimate import Surface, SurfacePoints
 from splatpainter.transforms import row_max
 from tests.support import studio_scenes
@@ -181,6 +182,8 @@ def drawn(splats: Splats, patches: int) -> tuple[Stroke, np.ndarray]:
 def test_what_was_seen_of_the_surface_while_a_stroke_grew_is_not_asked_again_and_changes_no_bit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # Nothing is kept of the edit before.
+    monkeypatch.setattr(recent_sights, "RECENT_SIGHTS", replace(recent_sights.RECENT_SIGHTS, most_lines=0))
     splats = ball(3000)
     surface, queries, at = Surface.of(splats), [], Surface.at
 

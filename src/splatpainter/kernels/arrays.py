@@ -88,6 +88,11 @@ def keep_no_idle_memory() -> None:
     _idle.size = 0
 
 
+def keeps_idle_memory() -> bool:
+    """Whether memory is worth its time here: in processes that do not end soon."""
+    return _idle.limits.most_bytes > 0
+
+
 def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """np.empty on a 64-byte boundary, so that 16 float32 numbers are one cache line; in memory of arrays that are gone,
     where some fits."""

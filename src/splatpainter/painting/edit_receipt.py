@@ -42,8 +42,9 @@ def edit_receipt(
     preset: str,
     settings: EditSettings,
     note: str,
-) -> Receipt:
-    """The receipt of `result`, made of `asset`, without its timings. preset, note: of the painter."""
+) -> tuple[Receipt, list[tuple[PartialRender, PartialRender]]]:
+    """(The receipt of `result`, made of `asset`, without its timings, what each view shows of both). preset, note: of
+    the painter."""
     notes = [note, _beside(views) if mode != "global" else "", _beyond_limits(views, lifted.limited), lifted.note]
     notes += method.notes(asset)
 
@@ -64,9 +65,11 @@ def edit_receipt(
     # How near it came: in the edited views, and from the side, where paint on a wrong depth comes apart.
     aside = _side_scores(asset, result, views) if settings.aside and mode != "global" else ()
     notes.append(_seen_aside(aside))
-    judged = _judged(asset, result, views, touched)
+    # One picture's paint also shows in another view, so all views are drawn before any is scored.
+    renders = [_before_and_after(asset, result, view, touched) for view in views]
+    judged = _judged(views, renders)
     hashes, asset_sha256 = hashing()
-    return Receipt(
+    receipt = Receipt(
         asset_sha256=asset_sha256,
         asset_rows=len(asset.splats),
         output_sha256="",
@@ -87,6 +90,7 @@ def edit_receipt(
         note="; ".join(filter(None, notes)),
         precision=method.arithmetic,
     )
+    return receipt, renders
 
 
 def _side_scores(asset: Asset, result: Asset, views: Sequence[EditView]) -> list[SideViewScore]:
@@ -96,14 +100,12 @@ def _side_scores(asset: Asset, result: Asset, views: Sequence[EditView]) -> list
     return [side_view_score(asset.splats, result.splats, view) for view in views]
 
 
-def _judged(asset: Asset, result: Asset, views: Sequence[EditView], touched: np.ndarray) -> tuple[ViewScore, ...]:
-    """Each view's score; what the other pictures painted is not outside. touched: [T] Gaussians that changed."""
+def _judged(views: Sequence[EditView], renders: Sequence[tuple[PartialRender, PartialRender]]) -> tuple[ViewScore, ...]:
+    """Each view's score; what the other pictures painted is not outside. renders: each before and after the edit."""
     from splatpainter.lift.shared_paint import paint_of_other_views
 
-    # One picture's paint also shows in another view, so all views are drawn before any is scored.
-    pairs = [_before_and_after(asset, result, view, touched) for view in views]
-    shared = paint_of_other_views(views, [before.depths for before, _ in pairs])
-    images = zip(views, pairs, shared, strict=True)
+    shared = paint_of_other_views(views, [before.depths for before, _ in renders])
+    images = zip(views, renders, shared, strict=True)
     return scores([(b.colors, a.colors, v.edited, v.mask | other, _scored(v)) for v, (b, a), other in images])
 
 

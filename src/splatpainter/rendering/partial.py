@@ -5,7 +5,9 @@ Tiles are independent of each other, so a tile has the same bits whichever fresh
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +40,8 @@ class PartialRender:
     view: ProjectedView | None = field(default=None, repr=False)
     """The Gaussians in these tiles, and in those that were asked for beside them; None where nobody asked to keep
     it."""
+    full_view: Callable[[], ProjectedView] | None = field(default=None, repr=False)
+    """Puts the view of all tiles together, where `after` had one to begin with; holds none of the Gaussians."""
 
     @staticmethod
     def of(
@@ -86,8 +90,8 @@ class PartialRender:
             old = changed[entries < 0]
         view = self._recolored(splats, old)
         if view is not None:
-            before = self.with_tiles(tiles)
-            return before, before._redrawn(splats, tiles, view)
+            before, recolored = self.with_tiles(tiles), view
+            return before, replace(before._redrawn(splats, tiles, view), full_view=lambda: recolored)
         new = new[splats.opacities[new] > 0]
         if len(old):
             tiles |= project(self.splats.take(old), self.camera).tiles_of(np.ones(len(old), bool))
@@ -96,11 +100,14 @@ class PartialRender:
         before = self.with_tiles(tiles)
         if not tiles.any():
             return before, replace(before, splats=splats)
+        full_view = None
         if self.view is not None and self._has(self.view, tiles):
-            fresh = fresh.part(tiles=tiles)
             fresh = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
-            view = self.view.merged(fresh, tiles=tiles, without=changed)
-        return before, before._redrawn(splats, tiles, view)
+            # Only what changed is put together now; whoever draws all of it again may ask for the rest.
+            # Of an object of its own: nobody finds it by the arrays of the Gaussians, which may be written to by then.
+            full_view = partial(replace(self.view).merged, fresh, without=changed) if self.view.tiles.all() else None
+            view = self.view.merged(fresh.part(tiles=tiles), tiles=tiles, without=changed)
+        return before, replace(before._redrawn(splats, tiles, view), full_view=full_view)
 
     def _recolored(self, splats: Splats, unseen: np.ndarray) -> ProjectedView | None:
         """The view where nothing but colours changed. unseen: [U] int Gaussians that changed and are not in it."""

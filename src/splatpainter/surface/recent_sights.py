@@ -1,5 +1,6 @@
 """Estimates of a surface that somebody holds, such as those under a stroke while it is drawn: the edit from the same
-camera takes equal lines of sight out of them. They are gone when their owner drops them.
+camera takes equal lines of sight out of them. They are gone when their owner drops them; those of the latest edit are
+kept for the next one, which often paints there again.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ import weakref
 from collections import deque
 
 from splatpainter.cameras import Camera, same_camera
+from splatpainter.kernels.arrays import keeps_idle_memory
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates
 from splatpainter.system.quick_dataclass import dataclass
@@ -19,6 +21,8 @@ class RecentSightLimits:
 
     most_recent: int = 8
     """Estimates that are looked through."""
+    most_lines: int = 1 << 17
+    """Lines of sight of those that are kept for the next edit, 20 MB."""
 
 
 RECENT_SIGHTS = RecentSightLimits()
@@ -27,11 +31,22 @@ _recent: deque[tuple[weakref.ref[SightEstimates], weakref.ref[Surface], Camera]]
     maxlen=RECENT_SIGHTS.most_recent
 )
 """The latest last."""
+_latest: list[tuple[SightEstimates, weakref.ref[Surface]]] = []
+"""Those of the latest edit, or none."""
 
 
 def note_sight(surface: Surface, camera: Camera, sight: SightEstimates) -> None:
     """Offer what is known of a surface along lines of sight of a camera."""
     _recent.append((weakref.ref(sight), weakref.ref(surface), camera))
+
+
+def keep_sight(surface: Surface, camera: Camera, sight: SightEstimates) -> None:
+    """The same, of an edit that is done: they stay until the next one is, or the surface is gone. Processes that end
+    soon keep none, and none that are large."""
+    _latest.clear()
+    if len(sight.pixels) <= RECENT_SIGHTS.most_lines and keeps_idle_memory():
+        _latest.append((sight, weakref.ref(surface, lambda _: _latest.clear())))
+        note_sight(surface, camera, sight)
 
 
 def recent_sight(surface: Surface, camera: Camera) -> SightEstimates | None:

@@ -30,7 +30,7 @@ from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, c
 from splatpainter.rendering.cpu.recent_views import DrawnView, recent_drawing, recent_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.surface.estimate import Surface
-from splatpainter.surface.recent_sights import recent_sight
+from splatpainter.surface.recent_sights import keep_sight, recent_sight
 from splatpainter.surface.visible import SightEstimates, visible_surface
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -184,9 +184,11 @@ def _paint_part(
     before, alpha = view.rasterize()[:2] if drawn is None else (drawn.colors, drawn.alphas)
     drawn_tiles = view.tiles if drawn is None else drawn.view.tiles
     solid = alpha > RESURFACING.min_cover
-    # Of a stroke in the studio most of it was estimated while it was drawn.
-    sight = recent_sight(surface, camera) if sight is None else sight
-    visible = visible_surface(surface, splats, view, reach & solid, earlier=sight)
+    # Of a stroke in the studio most of it was estimated while it was drawn; of paint over paint, for the edit before.
+    earlier = recent_sight(surface, camera) if sight is None else sight
+    visible = visible_surface(surface, splats, view, reach & solid, earlier=earlier)
+    if sight is None:
+        keep_sight(surface, camera, visible.estimates)
     # Limits fade paint by degrees; what they leave out is told to the user.
     share = paintable(visible, mask & solid, options.angle_limit, options.depth_edge_limit)
     limited = float((mask & solid).sum() - share.sum())

@@ -87,7 +87,17 @@ def drawn_view(splats: Splats, camera: Camera) -> DrawnView:
     if view is None:
         view = project(splats, camera)
         note_view(splats, view)
-    pictures = view.rasterize()
+    return _noted(view, view.rasterize())
+
+
+def offered(splats: Splats, view: ProjectedView, pictures: tuple[np.ndarray, np.ndarray, np.ndarray]) -> DrawnView:
+    """The whole view of numpy `splats` that somebody has at hand: it serves others for as long as the caller holds it.
+    pictures: colours, alphas and depths, as of DrawnView."""
+    note_view(splats, view)
+    return _noted(view, pictures)
+
+
+def _noted(view: ProjectedView, pictures: tuple[np.ndarray, np.ndarray, np.ndarray]) -> DrawnView:
     for picture in pictures:
         picture.flags.writeable = False
     drawn = DrawnView(view, *pictures)
