@@ -6,7 +6,6 @@
 #include "lift/near_surface.h"
 #include "lift/nearest_pixels.h"
 #include "lift/picture_change.h"
-#include "lift/regression.h"
 #include "lift/sheet.h"
 #include "lift/visible_depth.h"
 
@@ -27,8 +26,5 @@ SP_KERNELS(lift,
     ONE(choose_details),
     ONE(change_colors),
     ONE(add_residual),
-    ONE(add_squares),
-    ONE(fill_regression_features),
-    ONE(turn_bands),
-    ONE(measure_leverage)
+    ONE(add_squares)
 )

@@ -181,23 +181,28 @@ void list_pairs(Array1<const i32> order, Rows<const F, COLUMNS> unsorted, Array1
     const i64 m = projected.shape[0], shares = histogram.shape[0];
     const i64 edges[4] = {grid(0), grid(1), grid(2), grid(3)}, across = edges[1] - edges[0];
     const bool all_tiles = tile_slots.shape[0] == 0;
-    TileLanes<F> lanes;
+    // Read while the group before is listed: at once, every vector would wait until what was written to its lanes has
+    // left for the cache, behind whole rows.
+    TileLanes<F> groups[2];
     for (i64 share = thread; share < shares; share += threads) {
         const Share entries = share_of(m, share, shares);
         const i64 first = begins(share), limit = begins(share + 1) - PAIRS_AT_ONCE;
         i64 at = first;
-        for (i64 i = entries.begin; i < entries.end; i += LANES) {
-            const int count = (int)min_of<i64>(LANES, entries.end - i);
-            for (int l = 0; l < LANES; ++l) {
+        for (i64 next = entries.begin; next < entries.end + LANES; next += LANES) {
+            const i64 i = next - LANES;
+            for (int l = 0; l < LANES && next < entries.end; ++l) {
                 // What is left of the last vector is its first entry again.
-                const i64 entry = i + (l < count ? l : 0), slot = order(entry);
+                const i64 entry = next + (next + l < entries.end ? l : 0), slot = order(entry);
                 const i64 soon = order(min_of(entry + SORT_PREFETCH, m - 1));
                 prefetch_row(unsorted, soon), __builtin_prefetch(ids.data + soon, 0, 3);
                 const F* p = unsorted.row(slot);
                 __builtin_memcpy(projected.row(entry), p, COLUMNS * sizeof(F));
                 gaussian_ids(entry) = ids(slot);
-                lanes.put(l, p);
+                groups[next / LANES & 1].put(l, p);
             }
+            if (i < entries.begin) continue;
+            const int count = (int)min_of<i64>(LANES, entries.end - i);
+            TileLanes<F>& lanes = groups[i / LANES & 1];
             lanes.find(edges);
             const i64 group = at;
             for (int l = 0; l < count; ++l) {
