@@ -81,6 +81,9 @@ def test_nobody_else_finds_it(projections: list[int]) -> None:
     edit = dab(asset)
     result = painted(asset, edit)
     assert len(projections) == 1 and len(latest_view._latest) == 2
+    drawing = latest_view.latest_view(asset, CAMERA)
+    assert drawing is not None and "entries" in vars(drawing.view), "numbered anew for each edit"
+    del drawing
     assert recent_views.recent_view(asset.splats, CAMERA) is None, "arrays may be written to between two edits"
     # Another camera, another asset of the same arrays, several pictures at once.
     further: Sequence[tuple[Asset, list[Edit]]] = [

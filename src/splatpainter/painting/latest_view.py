@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
-from dataclasses import field, fields, replace
+from dataclasses import field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +50,7 @@ def keep_view(before: Asset, after: Asset, renders: tuple[PartialRender, Partial
     old, new = renders
     if old.view is None or not old.tiles.all() or not keeps_idle_memory() or _size(old.view) > MAX_VIEW_BYTES:
         return
-    view_before = replace(old.view)  # an object of its own: nobody finds it by the arrays alone
+    view_before = old.view.twin()  # which nobody finds by the arrays alone
     for asset, render, view in ((after, new, new.full_view), (before, old, lambda: view_before)):
         if view is not None:
             pictures = (render.colors, render.alphas, render.depths)
@@ -64,7 +64,7 @@ def latest_view(asset: Asset, camera: Camera) -> DrawnView | None:
 
     for entry in _latest:
         if entry.asset() is asset and same_camera(entry.camera, camera):
-            return offered(asset.splats, replace(entry.view()), entry.pictures)
+            return offered(asset.splats, entry.view().twin(), entry.pictures)
     _latest.clear()
     return None
 

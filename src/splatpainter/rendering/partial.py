@@ -104,8 +104,8 @@ class PartialRender:
         if self.view is not None and self._has(self.view, tiles):
             fresh = replace(fresh, gaussian_ids=new[fresh.gaussian_ids], num_gaussians=len(splats))
             # Only what changed is put together now; whoever draws all of it again may ask for the rest.
-            # Of an object of its own: nobody finds it by the arrays of the Gaussians, which may be written to by then.
-            full_view = partial(replace(self.view).merged, fresh, without=changed) if self.view.tiles.all() else None
+            # Of a twin: nobody finds it by the arrays of the Gaussians, which may be written to by then.
+            full_view = partial(self.view.twin().merged, fresh, without=changed) if self.view.tiles.all() else None
             view = self.view.merged(fresh.part(tiles=tiles), tiles=tiles, without=changed)
         return before, replace(before._redrawn(splats, tiles, view), full_view=full_view)
 
