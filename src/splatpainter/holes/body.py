@@ -22,7 +22,8 @@ from splatpainter.color import base_color, oklab, to_display
 from splatpainter.holes.border import cell_of
 from splatpainter.holes.support import Ground, below, support_of
 from splatpainter.kernels import portable
-from splatpainter.order_statistics import groups, row_keys
+from splatpainter.kernels.rows import by_blocks
+from splatpainter.order_statistics import distinct, groups, row_keys
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import quat_to_matrix
@@ -320,10 +321,16 @@ class _Pieces:
 
     def touching(self, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """([E] int64, [E] int64) pieces that hold both Gaussians of a pair, each two once."""
-        one, two = (self.piece.take(of) for of in pairs)
-        apart = np.flatnonzero(one != two)  # most are of one piece
-        one, two = one.take(apart), two.take(apart)
-        keys = np.unique(np.minimum(one, two) * np.int64(len(self.counts)) + np.maximum(one, two))
+        count = np.int64(len(self.counts))
+
+        def keys_of(block: slice) -> np.ndarray:
+            one, two = (self.piece.take(of[block]) for of in pairs)
+            apart = np.flatnonzero(one != two)  # most are of one piece
+            one, two = one.take(apart), two.take(apart)
+            return distinct(np.minimum(one, two) * count + np.maximum(one, two))
+
+        # Tens of millions of pairs: what is computed of a block stays in the cache, and neighbours repeat each other.
+        keys = distinct(np.concatenate([np.zeros(0, np.int64), *by_blocks(keys_of, len(pairs[0]))]))
         return keys // len(self.counts), keys % len(self.counts)
 
     def differences(self, one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

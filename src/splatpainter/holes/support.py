@@ -6,6 +6,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools
 from splatpainter.kernels import portable
+from splatpainter.order_statistics import distinct
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -63,7 +64,7 @@ def support_of(
     none = Ground(nothing, nothing, np.zeros(3))
     one, two = edges
     crossing = chosen[one] != chosen[two]
-    outline = np.unique(np.concatenate([one[crossing], two[crossing]]))
+    outline = distinct(np.concatenate([one[crossing], two[crossing]]))
     if len(outline) < SUPPORT.min_outline:
         return none
     # The plane on which most of the outline lies.

@@ -10,7 +10,7 @@ import numpy as np
 
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import each, run, threads
+from splatpainter.kernels.parallel import Result, each, run, threads
 from splatpainter.kernels.row_bits import row_bits
 from splatpainter.kernels.spare_copies import spare_copy_of
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -21,14 +21,11 @@ BLOCK_ROWS = 1 << 14
 """Rows of a block: what is computed of them on the way stays in the processor's cache."""
 
 
-def by_blocks(function: Callable[[slice], object], count: int) -> None:
-    """function(rows) for all of `count` rows, in blocks that the threads share: for numpy's arithmetic of each row
+def by_blocks(function: Callable[[slice], Result], count: int) -> list[Result]:
+    """[function(rows)] for all of `count` rows, in blocks that the threads share: for numpy's arithmetic of each row
     alone, which lets go of the interpreter's lock. Of a million rows each array on the way would be new memory."""
     blocks = [slice(first, min(first + BLOCK_ROWS, count)) for first in range(0, count, BLOCK_ROWS)]
-    if count < MIN_ROWS:
-        list(map(function, blocks))
-    else:
-        each(function, blocks)
+    return list(map(function, blocks)) if count < MIN_ROWS else each(function, blocks)
 
 
 def taken(values: np.ndarray, ids: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ from splatpainter.grading.color_match import MATCHING
 from splatpainter.kernels import portable
 from splatpainter.operations.operation import AS_PYTHON, Operation, ReadyOperation, Tools, Wording, parameter
 from splatpainter.operations.region import Region, check_terms
+from splatpainter.order_statistics import distinct
 from splatpainter.painter import Asset
 from splatpainter.receipts import Pixelation, Receipt, untouched_hashes
 from splatpainter.rendering.cpu.projected_view import project
@@ -161,9 +162,9 @@ def pixelate(
         raise ValueError("pixelate: nothing to do, the region is of one colour in each cell already")
     # Everything outside is hashed before and after: that part of the claim is proved like any edit.
     before, after = untouched_hashes(splats, edited, touched)
-    distinct = len(np.unique(edited.sh[order, 0], axis=0))
+    base_colors = len(np.unique(edited.sh[order, 0], axis=0))
     # What verify checks on the written file: rows, cells, colours, cleared SH.
-    claim = Pixelation(order, len(firsts), distinct, style, float(edge), inner, merge)
+    claim = Pixelation(order, len(firsts), base_colors, style, float(edge), inner, merge)
     receipt = Receipt(
         asset_sha256=splats.sha256,
         asset_rows=len(splats),
@@ -221,11 +222,11 @@ def _chosen(splats: Splats, region: Region, cells: np.ndarray, edge: float, marg
     changes."""
     reached = region.weights(splats) > 0
     # Cells and not Gaussians: what shares a cell with the region would show its colours in the mean.
-    keys, region_keys = _keys(cells), np.unique(_keys(cells[reached]))
+    keys, region_keys = _keys(cells), distinct(_keys(cells[reached]))
     # One ring of neighbours for each cell of margin.
     for _ in range(margin):
         grown = [_keys(_unpacked(region_keys) + step) for step in NEIGHBOURS]
-        region_keys = np.unique(np.concatenate(grown))
+        region_keys = distinct(np.concatenate(grown))
     chosen = np.isin(keys, region_keys)
     # Hidden ones are looked for from all sides, and only near the region: a whole room's inside is hidden, too.
     points = splats.means[chosen & splats.drawable].astype(np.float64)

@@ -27,6 +27,7 @@ from splatpainter.io.formats.ply_rows import TextRows
 from splatpainter.io.joining import ROWS_STAND_ALONE, concatenated, write_joined
 from splatpainter.io.losses import loss_line, measure
 from splatpainter.io.positions import Offset
+from splatpainter.order_statistics import distinct
 from splatpainter.output_paths import receipt_of
 from splatpainter.receipts import MAX_CARRIED, Receipt, untouched_hashes
 from splatpainter.scene.placement import Placement, check_near, scene_offset
@@ -429,7 +430,7 @@ def _stored_differences(part: Part, merged: Splats, first: int) -> tuple[np.ndar
             differing.append(rows)
         elif len(rows):
             names.append(name)
-    return np.unique(np.concatenate(differing)), names
+    return distinct(np.concatenate(differing)), names
 
 
 def _name_at(name: str, bands: int, merged_bands: int) -> str:

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from splatpainter.io.files import printable
+from splatpainter.order_statistics import distinct
 from splatpainter.session.replay.recent_changes import changes
 from splatpainter.splats import ATTRIBUTES, SH_COUNTS, Splats, changed_rows, float_bits
 from splatpainter.system.quick_dataclass import dataclass
@@ -301,7 +302,7 @@ class VersionLog:
             # The smallest asset on the way: what was gone once was made anew, whatever its index now.
             retained = min([len(splats), *(step[1] for step in steps)])
             rows = [step[2] for step in steps]
-            changed = rows[0] if len(rows) == 1 else np.unique(np.concatenate([np.zeros(0, np.int32), *rows]))
+            changed = rows[0] if len(rows) == 1 else distinct(np.concatenate([np.zeros(0, np.int32), *rows]))
             changed = changed[: np.searchsorted(changed, retained)].astype(np.int64)
         recolored = version is not None and all(step[3] for step in steps)
         return AssetDelta(version, now, retained, changed, splats, recolored)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from splatpainter.order_statistics import distinct
 from splatpainter.rendering.pixel_shares import MEASURING_OPACITY
 from splatpainter.session.selection.selection import snapped_weights, spacing
 from splatpainter.splats import Splats
@@ -82,7 +83,7 @@ def parts(splats: Splats) -> np.ndarray:
 def connected(splats: Splats, weights: np.ndarray) -> np.ndarray:
     """[N] float32: all parts of which something is selected."""
     labels = parts(splats)
-    chosen = np.unique(labels[(weights >= SELECTED) & (labels >= 0)])
+    chosen = distinct(labels[(weights >= SELECTED) & (labels >= 0)])
     return np.isin(labels, chosen).astype(np.float32) if len(chosen) else np.zeros(len(splats), np.float32)
 
 
