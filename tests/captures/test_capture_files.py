@@ -258,6 +258,22 @@ def test_inrias_cameras_and_its_arguments(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("source", "images", "there"),
+    [
+        (r"D:\\captures\\garden", "images", "garden/images"),  # trained on Windows, moved here
+        (r"D:\\captures\\garden\\", r"small\\images", "garden/small/images"),
+        ("data/garden", "images", "data/garden/images"),  # from the trainer's own folder, in which outputs lie
+    ],
+)
+def test_photographs_of_a_folder_that_was_named_elsewhere(source: str, images: str, there: str, tmp_path: Path) -> None:
+    arguments = f"source_path='{source}', images='{images}'"
+    folder = write_inria(tmp_path / "output" / "run", some_cameras(), ["a", "b", "c"], arguments)
+    (tmp_path / there).mkdir(parents=True)
+    (tmp_path / there / "b.jpg").write_bytes(b"")
+    assert captured_views(folder)[1].picture() == (tmp_path / there / "b.jpg").absolute()
+
+
+@pytest.mark.parametrize(
     "text",
     ["", "Namespace(", "__import__('os').system('true')", "Namespace(source_path=open('x'))", "x" * 100_000, "1"],
 )
@@ -411,6 +427,28 @@ def test_a_picture_chooses_its_view_by_its_name(tmp_path: Path) -> None:
     assert chosen("elsewhere/y.jpg") == ["y.jpg"] and chosen("y.tif") == ["y.jpg"]
     assert chosen("x.jpg") == ["x.jpg"], "of two with one stem"
     assert len(chosen("x.tif")) == len(chosen("z.jpg")) == 3, "nothing says which"
+
+
+@pytest.mark.parametrize(
+    ("picture", "chosen"),
+    [
+        ("IMG_1-Edit.tif", "left/IMG_1.jpg"),
+        ("img_1 painted.png", "left/IMG_1.jpg"),
+        ("IMG_1.2.jpg", "left/IMG_1.jpg"),
+        ("IMG_1_2 copy.png", "IMG_1_2.JPG"),  # the longest
+        ("IMG_12-Edit.tif", ""),  # no photograph of these: 12 is not 1
+        ("my IMG_1.png", ""),
+    ],
+)
+def test_a_photograph_that_was_saved_as_another_file(picture: str, chosen: str, tmp_path: Path) -> None:
+    write_table(tmp_path, some_cameras(), ["left/IMG_1.jpg", "IMG_1_2.JPG", "c.v2"])
+    views = named_views(tmp_path, picture=Path(picture))
+    assert [view.name for view in views] == ([chosen] if chosen else ["left/IMG_1.jpg", "IMG_1_2.JPG", "c.v2"])
+
+
+def test_of_two_photographs_of_a_name_neither_was_saved_again(tmp_path: Path) -> None:
+    write_table(tmp_path, some_cameras(), ["left/a.jpg", "right/a.jpg", "b.jpg"])
+    assert len(named_views(tmp_path, picture=Path("a-Edit.jpg"))) == 3
 
 
 def test_names_with_a_colon_are_files_first(tmp_path: Path) -> None:

@@ -14,7 +14,13 @@ import pytest
 from PIL import Image
 
 from splatpainter.cameras import Camera, spherical_cameras
-from splatpainter.commands.parts.fit_photographs import PosedPicture, first_gaussians, posed_pictures, unused_models
+from splatpainter.commands.parts.fit_photographs import (
+    PosedPicture,
+    first_gaussians,
+    posed_pictures,
+    unsure_turns,
+    unused_models,
+)
 from splatpainter.image_files import to_uint8
 from splatpainter.metrics import psnr
 from splatpainter.rendering import render
@@ -76,6 +82,28 @@ def test_cameras_of_the_turned_shape_see_turned_pixels(orientation: int, tmp_pat
         save_turned(tmp_path / name, np.ascontiguousarray(TURNS[back](to_uint8(drawn(camera)))), orientation)
     write_table(tmp_path, cameras, names)
     assert nearness(posed_pictures(tmp_path, None)) > 30
+
+
+@pytest.mark.parametrize("orientation", [2, 3, 4])
+def test_what_one_photograph_tells_holds_for_half_turns(orientation: int, tmp_path: Path) -> None:
+    """The shape says nothing of a half turn; another photograph of the capture, which only fits turned, does."""
+    cameras, names = cameras_around(), ["a.jpg", "b.jpg", "c.jpg"]
+    for camera, name, turn in zip(cameras, names, (orientation, 6, 1), strict=True):
+        back = {6: 8}.get(turn, turn)
+        save_turned(tmp_path / name, np.ascontiguousarray(TURNS[back](to_uint8(drawn(camera)))), turn)
+    write_table(tmp_path, cameras, names)
+    assert nearness(posed_pictures(tmp_path, None)) > 30
+    assert not unsure_turns(tmp_path)
+
+
+@pytest.mark.parametrize(("orientation", "unsure"), [(1, 0), (3, 3), (6, 0)])
+def test_turns_that_no_shape_tells_are_said(orientation: int, unsure: int, tmp_path: Path) -> None:
+    cameras, names = cameras_around(), ["a.jpg", "b.jpg", "c.jpg"]
+    for camera, name in zip(cameras, names, strict=True):
+        save_turned(tmp_path / name, to_uint8(drawn(camera)), orientation)
+    write_table(tmp_path, cameras, names)
+    lines = unsure_turns(tmp_path)
+    assert len(lines) == (unsure > 0) and (not lines or f"{unsure} of the 3 photographs" in lines[0])
 
 
 BENT = {
@@ -151,7 +179,7 @@ def test_colmaps_points_are_the_first_gaussians(tmp_path: Path) -> None:
     expected = points[np.argsort(points[:, 0])]
     assert np.allclose(start.means[order], expected[:, :3], atol=1e-6)
     assert np.allclose(0.5 + 0.28209479 * start.sh[order, 0], expected[:, 3:] / 255, atol=1e-6)
-    assert "40 of the 40 points" in line
+    assert "40 of the 40 points of sparse/0" in line
     assert len(first_gaussians(tmp_path, posed, 25, 0, seed=0)[0]) == 25
     beside = first_gaussians(tmp_path, posed, 100, 0, 0, (5.0, -2.0, 1.0))[0]
     assert np.allclose(beside.means, start.means - np.array([5, -2, 1]), atol=1e-5)

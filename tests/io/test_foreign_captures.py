@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from splatpainter import io
 from splatpainter.captures.camera_files import captured_views
 from splatpainter.io.folders import asset_file
 from splatpainter.pictures.edit_files import camera_from
@@ -41,6 +42,23 @@ def test_a_splat_beside_a_capture_is_what_a_folder_holds(tmp_path: Path) -> None
     (tmp_path / "scene.ply").write_bytes(b"ply\n")
     with pytest.raises(ValueError, match=r"it holds scene\.ply: name one of them"):
         asset_file(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "whose"),
+    [
+        *[(name, "cameras of a capture") for name in ("transforms.json", "camera_path.json", "cameras.json")],
+        *[(f"{inner}images.bin", "COLMAP's cameras") for inner in ("", "sparse/0/")],
+        ("sparse/images.txt", "COLMAP's cameras"),
+    ],
+)
+def test_cameras_where_splats_are_wanted_are_named(tmp_path: Path, name: str, whose: str) -> None:
+    file = tmp_path / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(b'{"frames": []}')
+    for path, folder in ((tmp_path, tmp_path), (file.parent, file.parent), (file, file.parent)):
+        with pytest.raises(ValueError, match=rf"{whose} and no splats; .*--camera, .*: splatpainter fit {folder} "):
+            io.read(path)
 
 
 @pytest.mark.parametrize(

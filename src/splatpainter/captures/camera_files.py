@@ -95,8 +95,12 @@ def named_views(path: Path, asset: Path | None = None, picture: Path | None = No
         # A picture that is called as one photograph of the capture is that photograph.
         named = [view for view in views if view.is_called(picture.name)]
         exact = [view for view in named if Path(view.name.replace("\\", "/")).name == picture.name]
-        if len(exact or named) == 1:
-            return exact or named
+        # Else the one that it was saved as another file of: the longest name, as IMG_1 may be there beside IMG_1_2.
+        begun = [] if named else [view for view in views if view.is_called_on(picture.name)]
+        lengths = [len(view.name.replace("\\", "/").rpartition("/")[2]) for view in begun]
+        begun = [view for view, length in zip(begun, lengths, strict=True) if length == max(lengths)]
+        if len(exact or named or begun) == 1:
+            return exact or named or begun
     return views
 
 

@@ -19,6 +19,7 @@ from splatpainter.system.quick_dataclass import dataclass
 
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
 """What a file's name may go on with where a capture names it without its ending (NeRF's scenes, old cameras.json)."""
+_SUFFIXES = frozenset(map(str.lower, ENDINGS))
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where ns-process-data and INRIA's convert.py put photographs, and smaller copies of them."""
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -82,11 +83,27 @@ class CapturedView:
     def is_called(self, name: str) -> bool:
         """Whether a photograph's name, with or without folders and ending, in any capitals, is this one's. Captures may
         leave the ending out, old cameras.json all behind the first dot."""
-        # Macs write an umlaut as two characters, others as one; programs of Windows call IMG_1.JPG img_1.jpg.
-        texts = (unicodedata.normalize("NFC", text.replace("\\", "/")).casefold() for text in (self.name, name))
-        one, other = (PurePosixPath(text) for text in texts)
+        one, other = (_plain_name(text) for text in (self.name, name))
         alike = other.name in (one.name, one.stem) or one.name in (other.stem, other.name.split(".")[0])
         return bool(self.name) and (alike or one.stem == other.stem)
+
+    def is_called_on(self, name: str) -> bool:
+        """Whether a picture's name goes on from this photograph's, as programs call another file that is saved of one:
+        IMG_12-Edit.tif, "IMG_12 copy.png"."""
+        one, other = (_plain_name(text) for text in (self.name, name))
+        stem = one.stem if one.suffix in _SUFFIXES else one.name
+        rest = other.stem.removeprefix(stem)
+        return bool(stem) and rest != other.stem and rest != "" and not rest[0].isalnum()
+
+    def is_meant_by(self, name: str) -> bool:
+        """Whether a picture's name is this photograph's, or goes on from it."""
+        return self.is_called(name) or self.is_called_on(name)
+
+
+def _plain_name(name: str) -> PurePosixPath:
+    """A name as it is compared: Macs write an umlaut as two characters, others as one; programs of Windows call
+    IMG_1.JPG img_1.jpg."""
+    return PurePosixPath(unicodedata.normalize("NFC", name.replace("\\", "/")).casefold())
 
 
 def rigid(pose: np.ndarray, where: str) -> np.ndarray:

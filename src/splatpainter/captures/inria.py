@@ -45,10 +45,15 @@ def training_arguments(folder: Path) -> TrainingArguments:
         return TrainingArguments()
     source, images = values.get("source_path"), values.get("images")
     return TrainingArguments(
-        Path(source) if isinstance(source, str) and source else None,
-        images if isinstance(images, str) and images else "images",
+        _folder(source) if isinstance(source, str) and source else None,
+        _folder(images).as_posix() if isinstance(images, str) and images else "images",
         values.get("white_background") is True,
     )
+
+
+def _folder(text: str) -> Path:
+    """A folder as the trainer's machine called it; Windows's name for one has parts on other systems, too."""
+    return Path(text.replace("\\", "/"))
 
 
 def read_cameras(path: Path, entries: list[Any]) -> list[CapturedView]:
@@ -58,11 +63,11 @@ def read_cameras(path: Path, entries: list[Any]) -> list[CapturedView]:
     arguments = training_arguments(path.parent)
     folders = [path.parent]
     if arguments.source is not None:
-        # The path of the machine that trained, and the same folder nearer by.
-        sources = [arguments.source, path.parent / arguments.source]
-        sources += [
-            above / arguments.source.name for above in path.absolute().parents[:3]
-        ]  # moved from another machine
+        # The path of the machine that trained; the same folder nearer by, where it was moved; one that was named from
+        # the trainer's own folder, in which outputs lie.
+        above = path.absolute().parents[:3]
+        sources = [arguments.source, *(one / arguments.source.name for one in above)]
+        sources += [one / arguments.source for one in above] if not arguments.source.is_absolute() else []
         names = dict.fromkeys((arguments.images, "images", ""))
         folders = [source / name for source in sources for name in names]
     background = (1.0, 1.0, 1.0) if arguments.white else (0.0, 0.0, 0.0)

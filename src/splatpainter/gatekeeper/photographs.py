@@ -84,15 +84,16 @@ class StraightPicture:
     """[H, W] 0..1, of the picture's transparency and of what the photograph does not show; None: all of it is there."""
 
 
-def read_photograph(path: Path, size: tuple[int, int]) -> Picture:
+def read_photograph(path: Path, size: tuple[int, int], seen_turned: bool = False) -> Picture:
     """A photograph whose camera has `size` (width, height), turned as its camera counts pixels: as the file stores
     them, for COLMAP, nerfstudio and INRIA's trainer look at no EXIF orientation; as EXIF turns them where only that
-    has the camera's shape. Raises ValueError as `read_picture`."""
+    has the camera's shape, or where both have it and seen_turned says so. Raises ValueError as `read_picture`."""
     picture = read_picture(path)
     # The shape decides: a camera file knows in which turn its pixels were counted.
     orientation = _orientation(path)
     stored = unturned(picture, orientation)
-    return picture if not has_aspect(stored.size, size) and has_aspect(picture.size, size) else stored
+    fits = has_aspect(picture.size, size)
+    return picture if fits and (seen_turned or not has_aspect(stored.size, size)) else stored
 
 
 def turned(picture: Picture, orientation: int) -> Picture:
@@ -162,7 +163,7 @@ def picture_edit(
         return photograph_edit(picture, choose_one(listed, camera), mask)
     beside = None if asset is None else capture_of(asset)
     views = [] if beside is None else named_views(beside, asset, picture)
-    if len(views) == 1 and views[0].is_called(picture.name):
+    if len(views) == 1 and views[0].is_meant_by(picture.name):
         return photograph_edit(picture, views[0], mask)
     return edit_from_files(picture, None, mask, folders)
 

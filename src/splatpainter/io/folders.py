@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-from splatpainter.io.foreign_captures import foreign_capture
+from splatpainter.io.foreign_captures import cameras_alone, foreign_capture
 from splatpainter.system.quick_dataclass import dataclass
 
 SOG_META = "meta.json"
@@ -93,6 +93,8 @@ def asset_file(path: Path) -> Path:
     splats = _splats_in(path)
     if not splats and (foreign := foreign_capture(path)):
         raise ValueError(f"{path}: is {foreign}; expected a splat file, or a folder of INRIA's trainer")
+    if not splats and (cameras := cameras_alone(path)):
+        raise ValueError(f"{path}: {cameras}")
     listed = ", ".join(splats[: FOLDERS.names])
     more = f"; it holds {listed}{', ...' if len(splats) > FOLDERS.names else ''}: name one of them" if splats else ""
     raise ValueError(

@@ -1,7 +1,8 @@
-"""Captures of other programs whose cameras are not read: which program's a file or folder is, and what to do.
+"""Captures where splats are wanted: which program's a file or folder is, and what to do.
 
-Known by names and first bytes. Each has a command of nerfstudio's that makes a transforms.json of it, which is read.
-The asset was then trained in that one's world: these files' own cameras may stand in another.
+Known by names and first bytes. Of those whose cameras are not read each has a command of nerfstudio's that makes a
+transforms.json of it, which is read. The asset was then trained in that one's world: these files' own cameras may stand
+in another.
 """
 
 from __future__ import annotations
@@ -23,6 +24,12 @@ POLYCAM = "raw data of Polycam", "polycam"
 RECORD3D = "a capture of Record3D", "record3d"
 DRONE_MAP = "a project of OpenDroneMap", "odm"
 
+CAMERA_LISTS = ("cameras.json", "transforms.json", "transforms_train.json", "camera_path.json")
+COLMAP_STEMS = ("cameras", "images", "points3D", "rigs", "frames")
+COLMAP_IMAGES = ("images.bin", "images.txt")
+COLMAP_FOLDERS = ("", "sparse", "sparse/0", "colmap/sparse/0", "distorted/sparse/0", "0")
+"""Of cameras that are read here (captures/)."""
+
 
 def foreign_capture(path: Path) -> str:
     """What a file or folder is and what to do, words for "PATH: is ..."; "" where it is none of these, or cannot be
@@ -32,6 +39,26 @@ def foreign_capture(path: Path) -> str:
     except (OSError, ValueError):
         return ""
     return f"{program[0]}, which {REMEDY.format(program[1])}" if program else ""
+
+
+def cameras_alone(path: Path) -> str:
+    """What a file or folder is that holds cameras which are read here and no splats, and what to do with it, words for
+    "PATH: ..."; "" of any other."""
+    if os.path.isdir(path):
+        colmap = any(os.path.isfile(path / inner / name) for inner in COLMAP_FOLDERS for name in COLMAP_IMAGES)
+        listed = colmap or any(os.path.isfile(path / name) for name in CAMERA_LISTS)
+        verb, folder = "has", path
+    else:
+        colmap = path.stem in COLMAP_STEMS and path.suffix in (".bin", ".txt")
+        listed = colmap or path.name in CAMERA_LISTS
+        verb, folder = "is of", path.parent
+    if not listed:
+        return ""
+    whose = "COLMAP's cameras" if colmap else "cameras of a capture"
+    return (
+        f"{verb} {whose} and no splats; name the splat file, and this as --camera, or make splats of the photographs: "
+        f"splatpainter fit {folder} --out NAME.ply"
+    )
 
 
 def _of_file(path: Path) -> tuple[str, str] | None:

@@ -58,8 +58,9 @@ def posed_pictures(folder: Path, size: int | None) -> list[PosedPicture]:
     if is_capture(folder):
         views = captured_views(folder)
         paths = [_checked(view) for view in views]  # before the first is decoded
+        turned = _turned_shapes(paths, views)[0]
         return over_common_color(
-            [_photograph(path, view, size, k) for k, (path, view) in enumerate(zip(paths, views, strict=True))]
+            [_photograph(path, view, size, k, turned) for k, (path, view) in enumerate(zip(paths, views, strict=True))]
         )
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
     if not paths:
@@ -127,10 +128,39 @@ def _checked(view: CapturedView) -> Path:
     return path
 
 
-def _photograph(path: Path, view: CapturedView, size: int | None, k: int) -> PosedPicture:
-    """Photograph k of a capture, as large as it is there, without its lens's distortion."""
+def _turned_shapes(paths: list[Path], views: list[CapturedView]) -> tuple[bool, int]:
+    """(whether a capture's cameras are of pixels as EXIF turns them, how many photographs nothing tells it of): some
+    have the camera's shape only so, and none only as it is stored. Then squares and half turns are seen so, too."""
+    turned, stored, unsure = 0, 0, 0
+    for path, view in zip(paths, views, strict=True):
+        (width, height), orientation = picture_header(path)
+        expected = view.camera.width, view.camera.height
+        as_stored, lies_over = has_aspect((width, height), expected), orientation >= 5
+        as_turned = has_aspect((height, width) if lies_over else (width, height), expected)
+        turned += as_turned and not as_stored
+        stored += as_stored and not as_turned
+        unsure += orientation > 1 and as_stored and as_turned
+    return turned > 0 and stored == 0, unsure if turned == stored == 0 else 0
+
+
+def unsure_turns(folder: Path) -> list[str]:
+    """A line about photographs that EXIF turns and whose shape does not say whether their cameras are of them so."""
+    if not is_capture(folder):
+        return []
+    views = captured_views(folder)
+    unsure = _turned_shapes([_checked(view) for view in views], views)[1]
+    text = (
+        f"EXIF turns {unsure:,} of the {len(views):,} photographs; they are taken as stored, as COLMAP and nerfstudio "
+        "count pixels; where another program made the cameras, save them turned and without that entry"
+    )
+    return [text] if unsure else []
+
+
+def _photograph(path: Path, view: CapturedView, size: int | None, k: int, turned: bool) -> PosedPicture:
+    """Photograph k of a capture, as large as it is there, without its lens's distortion. turned: whether its camera is
+    of it as EXIF turns it, where its shape fits so."""
     expected = view.camera.width, view.camera.height
-    picture = read_photograph(path, expected)
+    picture = read_photograph(path, expected, turned)
     _check_shape(path, picture.size, expected)
     view = view.resized(*picture.size)
     if size is not None:
@@ -180,7 +210,8 @@ def first_gaussians(
         points, colors = read_points(model)
         if len(points) >= MIN_POINTS:
             chosen = np.random.default_rng(seed).permutation(len(points))[:rows]
-            line = f"the first Gaussians are {len(chosen):,} of the {len(points):,} points of {model.name or model}"
+            name = f"{model.absolute().parent.name}/{model.name}"
+            line = f"the first Gaussians are {len(chosen):,} of the {len(points):,} points of {name}"
             return from_points(points[chosen] - np.array(offset), colors[chosen], sh_degree), line
     line = "no depth maps: the first Gaussians are random points where no picture shows empty space"
     return _carved(pictures, rows, sh_degree, seed), line

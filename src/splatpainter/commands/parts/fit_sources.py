@@ -18,6 +18,7 @@ from splatpainter.commands.parts.fit_photographs import (
     first_gaussians,
     near_zero,
     posed_pictures,
+    unsure_turns,
     unused_models,
 )
 from splatpainter.io import files, read
@@ -154,4 +155,6 @@ def _from_pictures(folder: Path, settings: FitPictureSettings) -> FitPictures:
     held_out = [(posed[k].camera, posed[k].colors) for k in dict.fromkeys(apart)]
     start, note = first_gaussians(folder, rest, settings.rows, settings.sh_degree, settings.seed, offset)
     cameras, colors = [picture.camera for picture in rest], [picture.colors for picture in rest]
-    return FitPictures("pictures", cameras, colors, held_out, start, offset, [note, *unused_models(folder)])
+    return FitPictures(
+        "pictures", cameras, colors, held_out, start, offset, [note, *unused_models(folder), *unsure_turns(folder)]
+    )

@@ -251,7 +251,7 @@ def _photograph(context: CommandContext, request: PictureCheck, blob: StoredBlob
         return None
     views = named_views(capture, Path(opened.path), Path(Path(name).name or "picture"))
     # The name has to be that of one photograph exactly.
-    if len(views) != 1 or not views[0].is_called(Path(name).name):
+    if len(views) != 1 or not views[0].is_meant_by(Path(name).name):
         return None
     with naming_errors(blob.path, name):
         edit = laid_over(photograph_edit(blob.path, views[0]), studio.session.splats)
