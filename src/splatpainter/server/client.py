@@ -36,7 +36,7 @@ from splatpainter.server.protocol import (
     ToastEvent,
 )
 from splatpainter.server.schema import schema_hash
-from splatpainter.server.work_queue import Ticket
+from splatpainter.server.work_queue import Busy, Cancelled, Ticket
 
 MAX_QUEUED_COMMANDS = 64
 """Commands of one client that may wait; those beyond fail."""
@@ -48,7 +48,8 @@ BACKPRESSURE_BYTES = 64 << 20
 """Bytes of such messages, likewise."""
 MAX_UNSENT_MESSAGES = 1024
 """Messages that may wait for a client; one that reads none of more is closed."""
-
+GRACE_SECONDS = 2.0
+"""After a page's connection ended, until its layers are shown: a network that blinks shall not make them flicker."""
 
 protocol_hash = cache(schema_hash)
 """Hash of this process's protocol; takes some milliseconds."""
@@ -83,6 +84,27 @@ async def serve(hub: Hub, socket: WebSocket) -> None:
         hub.closing.add(worker)
         worker.add_done_callback(hub.closing.discard)
         reader.close()
+        showing = asyncio.create_task(_show_held(hub, client.page, worker))
+        hub.leaving.add(showing)
+        showing.add_done_callback(hub.leaving.discard)
+        hub.mark_dirty()
+
+
+async def _show_held(hub: Hub, page: PageState, commands: asyncio.Task[None]) -> None:
+    """Show what a page hides whose connection has ended, unless it comes back soon. commands: what is still done of
+    those that it sent."""
+    studio = hub.studio
+    await asyncio.wait([commands])
+    await asyncio.sleep(GRACE_SECONDS)
+    if page.client is not None or not studio.held_layers.of(page):
+        return
+
+    def job() -> None:
+        studio.held_layers.show(studio.session, page)
+        studio.refresh()
+
+    with contextlib.suppress(Busy, Cancelled, RuntimeError):  # closed: the studio shows them then
+        await hub.queue.run("write", job, Ticket())
         hub.mark_dirty()
 
 

@@ -44,6 +44,8 @@ class Hub:
         self.handlers: dict[type[Command], Handler] = HANDLERS
         self.closing: set[asyncio.Task[None]] = set()
         """Work of clients whose connection was closed, to its end."""
+        self.leaving: set[asyncio.Task[None]] = set()
+        """What is done once a page does not come back."""
         self._background: set[Ticket] = set()
         """Tickets of long commands in work."""
         self._diffs: tuple[State, dict[tuple[int, int], tuple[State, str]]] | None = None
@@ -183,6 +185,8 @@ class Hub:
         """Cancel long commands: the studio is being closed."""
         for ticket in self._background:
             ticket.cancel()
+        for task in self.leaving:
+            task.cancel()
 
     def close(self) -> None:
         """After the last client was closed."""

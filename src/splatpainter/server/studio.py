@@ -24,6 +24,7 @@ from splatpainter.pictures.view_search import NamedView
 from splatpainter.server import describe
 from splatpainter.server.batches.batch_runs import Batches
 from splatpainter.server.current_selection import CurrentSelection
+from splatpainter.server.held_layers import HeldLayers, show_left_behind
 from splatpainter.server.protocol import (
     AssetInfo,
     Problem,
@@ -96,6 +97,7 @@ class Studio:
         """Pictures that a source made: sha256 -> what receipts say of it."""
         self.news: list[str] = []
         """What was found of a project that was closed, opened or taken over, for people."""
+        self.held_layers = HeldLayers()
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
         # The folders exist by now, so a session that cannot be described has to leave none of them behind.
@@ -117,6 +119,7 @@ class Studio:
         fresh = make()
         old = self.session
         # Drawn before the old session goes, for lists of recent projects.
+        self.held_layers.show(old)
         self.draw_picture()
         try:
             self._adopt(fresh, name)
@@ -171,6 +174,7 @@ class Studio:
         self._preparing.start()
 
     def _adopt(self, session: Session, name: str) -> None:
+        show_left_behind(session)
         # All is made aside and put in place at the end, so that readers on other threads never see half of it.
         session_id, lists, snapshot = secrets.token_hex(8), describe.Lists(), session.snapshot
         selection = CurrentSelection(session)
@@ -370,6 +374,7 @@ class Studio:
         self.batches.close()
         if self._preparing is not None:
             self._preparing.join()
+        self.held_layers.show(self.session)
         self.draw_picture()
         _close(self.session, self.projects)
         self.blobs.close()

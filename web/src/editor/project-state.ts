@@ -1,5 +1,7 @@
 /** What a new state of the server changes on the page: another project, another asset, a layer that is gone. */
 
+import { batch } from "@preact/signals";
+
 import type { AssetInfo, State, StateEvent } from "../messages";
 import type { Link } from "../net/connection";
 import { opening, pose, selectedLayer, state, swapped, toast, type LeftProject } from "../state/store";
@@ -34,8 +36,11 @@ export function adoptState(editor: Shown, next: State): void {
   const left = another ? leftNow(before) : null;
   if (left) noteLeft(left, next);
   if (!another && before && before.version !== next.version) noteChange();
-  state.value = next; // what waits for this project goes on
-  if (left) askAboutLeft(left, next);
+  // with the question, or what is in hand of the project that was left would be taken for this one's
+  batch(() => {
+    state.value = next; // what waits for this project goes on
+    if (left) askAboutLeft(left, next);
+  });
   chooseLayer(before, next);
   const { asset } = next;
   if (before?.session === next.session) {

@@ -1,9 +1,26 @@
 /** From a placed text or picture to a layer, or back to the layer that it was. */
 
+import { effect } from "@preact/signals";
+
 import { editor, report, run } from "../editor/editor";
 import type { Placed } from "../messages";
 import { sendBlob } from "../net/blobs";
-import { brush, camera, color, limits, method, paintMode, saving, selectedLayer, text, toast } from "../state/store";
+import {
+  brush,
+  camera,
+  color,
+  limits,
+  method,
+  paintMode,
+  saving,
+  selectedLayer,
+  state,
+  status,
+  swapped,
+  text,
+  toast,
+} from "../state/store";
+import { waitsForAnswer } from "../state/waiting";
 import { drafts } from "../state/draft-steps";
 import { blend, type Rgb } from "./colors";
 import { angleOf, type Anchor } from "./decal";
@@ -13,11 +30,33 @@ import { editedLayer, fromAnchor, laying, level, placedSteps, placement, standOf
 import type { Stroke } from "./stroke";
 import { surfaceArrived, surfaceOf, wrapping } from "./view-surface";
 
+/** The layer that is being changed, where its project is shown; of one that was left the server shows it itself. */
+function editedHere(): typeof editedLayer.value {
+  const edited = editedLayer.value;
+  return edited && edited.project === state.value?.project.id ? edited : null;
+}
+
+/** Hide it again once the connection is back, without which the server has shown it. */
+function hideAgain(): void {
+  let before: typeof state.value | undefined;
+  effect(() => {
+    const [now, open] = [state.value, status.value === "open"];
+    if (!open) before = now;
+    if (!open || before === undefined || before === now || swapped.value) return;
+    before = undefined;
+    const edited = editedHere();
+    const shown = now?.layers.some(({ id, visible }) => id === edited?.layer && visible);
+    if (edited && shown && placement.peek())
+      void run("layer.set", { layer: edited.layer, visible: false, gesture: edited.gesture }, edited.name);
+  });
+}
+hideAgain();
+
 /** Take it away; a layer that was being changed is as it was. */
 export async function discardPlacement(): Promise<void> {
   if (laying.value) return;
   placement.value = null;
-  const edited = editedLayer.value;
+  const edited = editedHere();
   editedLayer.value = null;
   if (edited) await run("layer.set", { layer: edited.layer, visible: true, gesture: edited.gesture }, edited.name);
 }
@@ -25,7 +64,7 @@ export async function discardPlacement(): Promise<void> {
 /** Take it away for good: a layer that was being changed goes, too. */
 export async function deletePlacement(): Promise<void> {
   if (laying.value) return;
-  const edited = editedLayer.value;
+  const edited = editedHere();
   await discardPlacement();
   if (edited) await run("layer.delete", { layer: edited.layer }, "Deleting");
 }
@@ -107,6 +146,8 @@ async function lay(p: Placement, anchor: Anchor, placed: Placed, name: string): 
 /** Make it a layer, or the layer that it was again. */
 export async function commitPlacement(): Promise<void> {
   if (!placement.value || laying.value) return;
+  const [problem, hint] = waitsForAnswer("Apply") ?? [];
+  if (problem) return toast("info", problem, hint);
   // From here to the answer: a second Enter makes no second layer, and nothing says "Saved".
   laying.value = true;
   saving.value++;

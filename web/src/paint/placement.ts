@@ -2,7 +2,7 @@
 
 import { effect, signal } from "@preact/signals";
 
-import { camera, state } from "../state/store";
+import { camera, state, swapped } from "../state/store";
 import { rewindowed, type CameraJson, type Vec3 } from "../view/camera";
 import { DraftSteps } from "../state/draft-steps";
 import { viewScale } from "./brush-settings";
@@ -33,7 +33,19 @@ export const placement = signal<Placement | null>(null);
  * The layer whose text or sticker is being changed; it is hidden meanwhile. `strokes`: it holds strokes, which one
  * sticker replaces.
  */
-export const editedLayer = signal<{ layer: string; name: string; gesture: string; strokes?: boolean } | null>(null);
+export const editedLayer = signal<EditedLayer | null>(null);
+
+interface EditedLayer {
+  layer: string;
+  /** Id of its project: layers of others have the same numbers. */
+  project: string;
+  name: string;
+  gesture: string;
+  strokes?: boolean;
+}
+
+/** The server shows a layer again that such a gesture hid, when the page is gone. */
+export const heldGesture = (layer: string): string => `held ${layer} ${Date.now()}`;
 /** It is being laid on the surface by the server. */
 export const laying = signal(false);
 
@@ -112,9 +124,12 @@ effect(() => {
 });
 
 effect(() => {
-  // another window deleted it, or undo took it back: what is placed becomes a layer of its own
+  // another window deleted it, undo took it back, another project is shown for good: what is placed becomes a layer of
+  // its own
   const [edited, now] = [editedLayer.value, state.value];
-  if (edited && now && !now.layers.some(({ id }) => id === edited.layer)) editedLayer.value = null;
+  if (!edited || !now || swapped.value) return;
+  const there = now.project.id === edited.project && now.layers.some(({ id }) => id === edited.layer);
+  if (!there) editedLayer.value = null;
 });
 
 effect(() => {

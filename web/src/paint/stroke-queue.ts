@@ -24,7 +24,7 @@ import {
   swapped,
   toast,
 } from "../state/store";
-import { giveUpWaiting, isShown, noteLeft, projectIsBack, projectOf } from "../state/waiting";
+import { giveUpWaiting, isShown, noteLeft, projectIsBack, projectOf, waitsForAnswer } from "../state/waiting";
 import { sameView, type CameraJson } from "../view/camera";
 import type { Viewer } from "../view/viewer";
 import { KeptStrokes, type KeptStroke } from "./kept-strokes";
@@ -374,8 +374,8 @@ function coverOf({ camera: view, rect, rgba }: KeptStroke): Mask {
 
 /** Why nothing can be painted, and what to do; null: it can. `into`: the layer that the stroke would go into, if any. */
 function whyNot(into: LayerInfo | null): [string, string] | null {
-  if (swapped.value)
-    return ["Painting waits for your answer above.", `Go back to ${swapped.value.name}, or stay here.`];
+  const [asked, answer] = waitsForAnswer("Painting") ?? [];
+  if (asked) return [asked, answer!];
   if (readOnly.value)
     return [
       "This project is open elsewhere and is read-only here.",

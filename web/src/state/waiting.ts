@@ -6,7 +6,7 @@
 import { computed, effect, signal } from "@preact/signals";
 
 import type { State } from "../messages";
-import { state, status, type LeftProject } from "./store";
+import { state, status, swapped, type LeftProject } from "./store";
 
 interface Waiting {
   project: string;
@@ -67,6 +67,12 @@ export function projectIsBack(project: string): Promise<boolean> {
   return new Promise((resolve) => {
     waiting.value = [...waiting.value, { project, resolve }];
   });
+}
+
+/** What is said of `what` while it is asked whether to go back to the project that it is for; null: nothing is asked. */
+export function waitsForAnswer(what: string): [string, string] | null {
+  const left = swapped.value;
+  return left && [`${what} waits for your answer above.`, `Go back to ${left.name}, or stay here.`];
 }
 
 /** Give up all that waits, and what is still to come of the same projects. */

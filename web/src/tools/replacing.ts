@@ -10,7 +10,7 @@ import { run } from "../editor/editor";
 import { brush, camera, color, paintMode, readOnly, selectedLayer, state, text, toast } from "../state/store";
 import { fromCamera, sameViewpoint, type CameraJson, type Vec3 } from "../view/camera";
 import { discardPlacement } from "../paint/lay-placement";
-import { editedLayer, placement, type Placement } from "../paint/placement";
+import { editedLayer, heldGesture, placement, type Placement } from "../paint/placement";
 import { textImage } from "../paint/text-image";
 import { wrapping } from "../paint/view-surface";
 import { stamp } from "./stamp";
@@ -50,10 +50,16 @@ export async function transformLayer(): Promise<void> {
   image.getContext("2d")!.putImageData(pixels, 0, 0);
   const view = camera.value!;
   const scale = view.height / height;
-  const gesture = `transform ${layer.id} ${Date.now()}`;
+  const gesture = heldGesture(layer.id);
   tool.value = stamp.name;
   if (layer.visible) await run("layer.set", { layer: layer.id, visible: false, gesture }, layer.name);
-  editedLayer.value = { layer: layer.id, name: layer.name, gesture, strokes: (layer.strokes ?? 0) > 0 };
+  editedLayer.value = {
+    layer: layer.id,
+    project: now.project.id,
+    name: layer.name,
+    gesture,
+    strokes: (layer.strokes ?? 0) > 0,
+  };
   placement.value = {
     kind: "picture",
     image,
@@ -90,8 +96,8 @@ export async function changePlaced(layer: LayerInfo): Promise<void> {
   }
   tool.value = spec.name;
   selectedLayer.value = layer.id;
-  const gesture = `change ${layer.id} ${Date.now()}`;
-  editedLayer.value = { layer: layer.id, name: layer.name, gesture };
+  const gesture = heldGesture(layer.id);
+  editedLayer.value = { layer: layer.id, project: state.value!.project.id, name: layer.name, gesture };
   const [x, y] = [placed.x, placed.y].map((v, k) => {
     const [at, now] = [seen, camera.value!];
     return k === 0 ? now.cx + ((v - at.cx) * now.fx) / at.fx : now.cy + ((v - at.cy) * now.fy) / at.fy;

@@ -1,5 +1,6 @@
 /** Open and save: assets, projects, single layers, exports. */
 
+import { signal } from "@preact/signals";
 import { useEffect, useRef, useState } from "preact/hooks";
 
 import type { RecentInfo, RecentProjects } from "../messages";
@@ -123,14 +124,16 @@ function RecentEntry({ project }: { project: RecentInfo }) {
   );
 }
 
+/** The session whose user said that it is not to go on with what was painted before: here, or where it was left. */
+const declined = signal("");
+const decline = (): void => void (declined.value = state.value?.session ?? "");
+
 /** An asset that was painted before: go on with that, or start anew. */
 export function Continue() {
   const now = state.value;
-  const [declined, setDeclined] = useState("");
-  if (!now || now.earlier.length === 0 || declined === now.session || swapped.value) return null;
-  const stay = () => setDeclined(now.session);
+  if (!now || now.earlier.length === 0 || declined.value === now.session || swapped.value) return null;
   return (
-    <Dialog title={`${now.asset.name} was painted before`} onClose={stay}>
+    <Dialog title={`${now.asset.name} was painted before`} onClose={decline}>
       <ul class="list">
         {now.earlier.map((one, k) => (
           <li key={one.id}>
@@ -145,7 +148,7 @@ export function Continue() {
         ))}
       </ul>
       <p class="row">
-        <Button label="Start over" text="Start over" onClick={stay} />
+        <Button label="Start over" text="Start over" onClick={decline} />
         <span class="quiet">What was painted before stays under Open.</span>
       </p>
     </Dialog>
@@ -186,7 +189,10 @@ export function Swapped() {
       <Button
         label="Stay here"
         text={drawn > 0 ? `Stay here without the ${strokesOf(drawn)}` : "Stay here"}
-        onClick={() => editor.strokes.giveUp()}
+        onClick={() => {
+          decline();
+          editor.strokes.giveUp();
+        }}
       />
     </div>
   );

@@ -119,7 +119,8 @@ class LayerSet(Command):
     parameters: dict[str, Any] | None = None
     """Options of its kind that change; of an adjustment layer with sliders the fields of GradeSliders."""
     gesture: Name | None = None
-    """Steps of one gesture (a slider that is dragged) that follow each other are one step of the history."""
+    """Steps of one gesture (a slider that is dragged) that follow each other are one step of the history. One that is
+    called "held LAYER ANYTHING" hides the layer only as long as the page is there (held_layers.py)."""
 
 
 @command(LayerSet, writes=True)
@@ -144,6 +145,8 @@ def set_layer(context: CommandContext, request: LayerSet) -> LayerMade:
         _preview_blend(context, request)
         attached = _held(context, values.get("held", {}))
         session.layers.set(request.layer, gesture=request.gesture, attached=attached, **values)
+    if request.visible is not None:
+        context.studio.held_layers.note(context.page, request.layer, request.visible, request.gesture)
     return layer_made(context, request.layer, python_line("session.layers.set", request.layer, **values))
 
 

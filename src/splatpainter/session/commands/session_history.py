@@ -33,6 +33,11 @@ class SessionHistory(Sequence[Step]):
         """Index of the step in effect."""
         return self._core.snapshot.cursor
 
+    @property
+    def gesture(self) -> str:
+        """The gesture of the step in effect (as of `layers.set`); "" of one that has none."""
+        return self._core.project.gesture()
+
     def jump(self, cursor: int) -> None:
         """Jump to any step of the history. Raises ValueError for one that is not there."""
         with self._core.command():

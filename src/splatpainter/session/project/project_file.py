@@ -403,6 +403,12 @@ class Project:
                     return list(steps), index
         raise ValueError(f"{self.path}: damaged project file (step {cursor[:20]!r} of its history is missing)")
 
+    def gesture(self) -> str:
+        """The gesture of the step in effect (`commit`); "" of one that has none."""
+        query = "SELECT coalesce(gesture, '') FROM steps WHERE id = ?"
+        rows = self.rows(query, int(self.fact("cursor") or 0), kinds=(str,))
+        return rows[0][0] if rows else ""
+
     def document(self, step: int) -> Document:
         """The layers as they were after a step. Raises ValueError: damaged."""
         where = f"{self.path}: layer"
