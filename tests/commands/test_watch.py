@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -9,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from splatpainter.commands import watch
 from splatpainter.pictures.saved_pictures import SavedPictures
@@ -94,6 +96,24 @@ def test_saves_are_lifted_and_bad_files_are_lines(painted: Path, capfd: Capture)
     receipt = Receipt.from_json((folder / "out.ply.receipt.json").read_text("utf-8"))
     assert len(receipt.touched) and run(capfd, "verify", folder / "ball.ply", out).code == 0
     assert (views / "view_000.png").read_bytes() == plain
+
+
+def test_a_picture_in_a_folder_of_the_folder_is_lifted(painted: Path, capfd: Capture) -> None:
+    """Its camera is that of the view that it was painted on, which lies in the folder itself."""
+    folder = painted.parent
+    views, out = folder / "views", folder / "out.ply"
+    (views / "final").mkdir()
+    without_camera = io.BytesIO()
+    Image.open(painted).convert("RGB").save(without_camera, "PNG")
+
+    def person() -> None:
+        (views / "final" / "view_000 painted.png").write_bytes(without_camera.getvalue())
+
+    words = ("watch", views, "--asset", folder / "ball.ply", "--out", out)
+    with meanwhile(person):
+        output = run(capfd, *words, "--once", "--timeout", 60)
+    assert output.code == 0, output.err
+    assert output.out.splitlines()[1].startswith(f"final/view_000 painted.png: 1 picture on {out}, ")
 
 
 def test_the_result_follows(painted: Path, capfd: Capture) -> None:

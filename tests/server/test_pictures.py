@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import time
@@ -277,6 +278,31 @@ def test_saved_pictures_are_offered_once_and_whole(studio: Live, tmp_path: Path)
         saved_picture(served, "page.png")
     with pytest.raises(FileNotFoundError):
         saved_picture(served, "missing.png")
+
+
+def test_a_picture_saved_into_a_folder_of_the_folder(studio: Live, tmp_path: Path) -> None:
+    shared, served = tmp_path / "shared", studio.studio
+    studio.post("view.export", camera=wire(view()), name="export", to="folder")
+    pixels = (255 * painted(shot())[0]).round().astype(np.uint8)
+    (shared / "final").mkdir()
+    Image.fromarray(pixels).save(shared / "final" / "export.png")  # the camera is lost
+    blob = saved_picture(served, "final/export.png")
+    assert blob is not None and saved_picture(served, "final/export.png") is None
+    checked = studio.post("picture.check", picture=blob.sha256, name="final/export.png")
+    assert checked["camera_source"] == "sidecar" and 0 < checked["share"] < 0.2
+    other = view().with_longest_side(96).to_json()
+    (shared / "final" / "export.json").write_text(other)
+    beside = studio.post("picture.check", picture=blob.sha256, name="final/export.png")
+    assert beside["camera"]["width"] == 96, "the nearest one"
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / "own.png").write_bytes((shared / "final" / "export.png").read_bytes())
+    (tmp_path / "outside" / "own.json").write_text(other)
+    (shared / "link").symlink_to(tmp_path / "outside", target_is_directory=True)
+    for name in ("link/own.png", "../outside/own.png", "final/../../outside/own.png"):
+        with contextlib.suppress(ValueError):
+            assert saved_picture(served, name) is None
+        checked = studio.post("picture.check", picture=blob.sha256, name=name)
+        assert checked["camera_source"] == "export", "by its likeness, not by a file outside"
 
 
 def test_the_folder_is_watched(studio: Live, tmp_path: Path) -> None:

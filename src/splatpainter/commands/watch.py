@@ -40,7 +40,7 @@ class Config:
 
     Pictures carry their camera, as those of splatpainter render do, or have it beside them (NAME.json); NAME.mask.png
     says what of NAME.png was edited. Photographs of the capture in whose folder ASSET lies need no camera but their
-    name. What is in the folder at the start counts once it is saved again.
+    name. What is in the folder at the start counts once it is saved again. Folders in DIR are watched, too.
 
     example:
       splatpainter watch views --asset vase.ply --out painted.ply
@@ -90,7 +90,7 @@ class _Watch:
     painter: Painter
     asset: Asset
     edits: dict[str, PictureFile] = field(default_factory=dict)
-    """File name -> the picture as it was saved last."""
+    """File name in the folder -> the picture as it was saved last."""
     lifted: int = 0
     refused: int = 0
     last_line: str = ""
@@ -102,7 +102,7 @@ class _Watch:
             edit = self._edit(path)
             # The result is of all pictures, so a failed one is taken back and the others stay as they were.
             edits_before = dict(self.edits)
-            self.edits[path.name] = edit
+            self.edits[self._name(path)] = edit
             try:
                 line = self._write()
             except BaseException:
@@ -119,9 +119,12 @@ class _Watch:
         if not self.config.json:
             print(line, flush=True)
 
+    def _name(self, path: Path) -> str:
+        return path.relative_to(self.config.folder).as_posix()
+
     def _edit(self, path: Path) -> PictureFile:
         # More pictures than an edit takes: from here on OUT is the asset to go on with.
-        if path.name not in self.edits and len(self.edits) >= MAX_VIEWS:
+        if self._name(path) not in self.edits and len(self.edits) >= MAX_VIEWS:
             raise ValueError(f"{path}: more than {MAX_VIEWS} pictures; go on with OUT as the new ASSET")
         mask = path.with_name(path.stem + MASK_ENDING)
         folder = self.config.asset.parent
@@ -130,7 +133,7 @@ class _Watch:
             path,
             mask=mask if mask.is_file() else None,
             asset=self.config.asset,
-            folders=(folder, folder / "views"),
+            folders=(self.config.folder, folder, folder / "views"),
         )
         made_for = edit.camera.asset_sha256
         # Only a picture that names another asset is refused; one that names none may be right.
@@ -162,7 +165,7 @@ class _Watch:
         latest = next(reversed(self.edits.values()))
         score = decibels(receipt.views[-1].psnr_after) if receipt.views else "no pixels"
         return (
-            f"{latest.path.name}: {count(len(self.edits), 'picture')} on {config.out}, "
+            f"{self._name(latest.path)}: {count(len(self.edits), 'picture')} on {config.out}, "
             f"{count(len(receipt.touched), 'Gaussian')} changed, {receipt.appended_rows:,} appended, "
             f"{score} against the last; {verification.same:,} the same, verified"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from splatpainter.image_files import find_camera
+from splatpainter.pictures import saved_pictures
 from splatpainter.pictures.saved_pictures import SavedPictures
 from splatpainter.sources.backends import watch
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceCancelled, SourceError
@@ -51,6 +53,51 @@ def test_what_counts_as_saved(tmp_path: Path) -> None:
     assert saved.take() == []
     clock.now = 10
     assert [path.name for path in saved.take()] == ["new.png"]
+
+
+def test_folders_in_the_folder_are_watched(tmp_path: Path) -> None:
+    """Programs save into folders of their own; what is hidden, too deep, or a link is not looked into."""
+    for folder in ("final/web/small/tiny", ".thumbnails", "elsewhere"):
+        (tmp_path / "watched" / folder).mkdir(parents=True)
+    folder, clock = tmp_path / "watched", Clock()
+    (folder / "final" / "old.png").write_bytes(b"old")
+    (tmp_path / "other").mkdir()
+    (folder / "link").symlink_to(tmp_path / "other", target_is_directory=True)
+    (folder / "circle").symlink_to(folder, target_is_directory=True)
+    saved = SavedPictures(folder, 0.3, clock)
+    names = ["a.png", "final/b.png", "final/web/small/c.png", "new/d.png"]
+    (folder / "new").mkdir()
+    hidden = [".thumbnails/e.png", "final/web/small/tiny/f.png", "link/g.png"]
+    for k, name in enumerate([*names, *hidden]):
+        (folder / name).write_bytes(bytes(k))
+    assert saved.take() == []
+    clock.now = 1
+    assert sorted(map(saved.name_of, saved.take())) == names
+    (folder / "final" / "old.png").unlink()
+    shutil.rmtree(folder / "new")
+    assert saved.take() == []
+
+
+def test_of_a_whole_disk_the_nearest_folders_are_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(saved_pictures, "MAX_FOLDERS", 2)
+    monkeypatch.setattr(saved_pictures, "MAX_FILES", 3)
+    clock = Clock()
+    for name in ("a/x", "b", "c"):
+        (tmp_path / name).mkdir(parents=True)
+    saved = SavedPictures(tmp_path, 0.3, clock)
+    for name in ("a/x/1.png", "a/2.png", "b/3.png", "c/4.png", "5.png"):
+        (tmp_path / name).write_bytes(b"1")
+    saved.take()
+    clock.now = 1
+    assert sorted(map(saved.name_of, saved.take())) == ["5.png", "a/2.png", "b/3.png"]
+    for k in range(9):  # more than may be: of those in the folders in it some are left out, and no word is said
+        (tmp_path / "a" / f"many{k}.png").write_bytes(b"1")
+    saved.take()
+    (tmp_path / "5.png").write_bytes(b"2")
+    clock.now = 2
+    saved.take()
+    clock.now = 3
+    assert "5.png" in map(saved.name_of, saved.take())
 
 
 def test_folders_that_cannot_be_watched(tmp_path: Path) -> None:
@@ -100,6 +147,12 @@ def test_a_view_there_and_a_picture_back(tmp_path: Path) -> None:
     person = Person(lambda: (folder / "view_001-final.jpg").write_bytes(png(8, 8)))
     assert edit(folder, person).model == "saved as view_001-final.jpg"
     assert np.abs(pixels((folder / "view_001.png").read_bytes()) / 255 - request().image).max() < 0.003
+
+
+def test_an_answer_in_a_folder_of_the_program(tmp_path: Path) -> None:
+    (tmp_path / "export").mkdir()
+    person = Person(lambda: (tmp_path / "export" / "view_000.png").write_bytes(png(64, 48)))
+    assert edit(tmp_path, person).image.shape == (48, 64, 3)
 
 
 def test_what_is_no_answer_is_waited_on(tmp_path: Path) -> None:

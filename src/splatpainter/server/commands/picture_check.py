@@ -31,6 +31,7 @@ from splatpainter.server.commands.context import (
     render_display,
 )
 from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraInfo, Command, Message, Unit
+from splatpainter.server.studio import Studio
 from splatpainter.server.uploads import image_registration as registration
 from splatpainter.server.uploads.storage import StoredBlob
 from splatpainter.system.quick_dataclass import dataclass
@@ -288,10 +289,23 @@ def _alpha_kind(context: CommandContext, blob: StoredBlob, name: str) -> Alpha |
     """How a picture that was exported without a background keeps its colours, as it or its sidecar says."""
     kind = find_alpha(blob.path)
     # Painting programs drop what a picture says of itself; the sidecar beside the export still says it.
-    if kind is None and context.studio.folder is not None:
+    for sidecar in _sidecars(context.studio, name) if kind is None else ():
         with contextlib.suppress(ValueError):
-            kind = find_alpha(blob.path, context.studio.folder.file(f"{Path(Path(name).name).stem}.json"))
+            kind = kind or find_alpha(blob.path, sidecar)
     return kind
+
+
+def _sidecars(studio: Studio, name: str) -> list[Path]:
+    """Files of the watched folder that may say the camera of a picture of it: beside it, then of the same name in the
+    folder itself, where views are exported to."""
+    if studio.folder is None:
+        return []
+    folder, _, last = name.rpartition("/")
+    stem, out = Path(Path(last).name).stem, []
+    for sidecar in dict.fromkeys((f"{folder}/{stem}.json" if folder else "", f"{stem}.json")):
+        with contextlib.suppress(ValueError):
+            out.append(studio.folder.within(sidecar))
+    return out
 
 
 def _cut_out(context: CommandContext, picture: Picture, render: np.ndarray, camera: Camera) -> np.ndarray:
@@ -316,9 +330,8 @@ def _find_camera(
     with contextlib.suppress(ValueError):
         return find_camera(blob.path), "chunk"
     stem = Path(Path(name).name).stem
-    if studio.folder is not None and stem:
+    for sidecar in _sidecars(studio, name):
         with contextlib.suppress(ValueError):
-            sidecar = studio.folder.file(f"{stem}.json")
             return find_camera(blob.path, sidecar), "sidecar"
     # An export of this name is meant, unless it is the name that all exports have.
     candidates = [e for e in studio.exports if same_shape(picture.size, (e.camera.width, e.camera.height))]
@@ -329,7 +342,10 @@ def _find_camera(
     best = most_alike(colors, candidates, stem)
     if best is None and studio.folder is not None:
         root = studio.folder.root
-        best = most_alike(colors, views_in([root], picture.size, besides=root / Path(name).name), stem)
+        at = root / Path(name).name
+        with contextlib.suppress(ValueError):  # dropped, of whatever name
+            at = studio.folder.within(name, new=True)
+        best = most_alike(colors, views_in([at.parent, root], picture.size, besides=at), stem)
     # Last: it may be a part of a view, which is the slowest to find.
     if best is None:
         camera = _cropped_from(context, colors)

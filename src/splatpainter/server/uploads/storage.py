@@ -18,7 +18,7 @@ import threading
 import time
 from collections import OrderedDict
 from dataclasses import field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from splatpainter import demo_asset
 from splatpainter.io import files, format_of_name, read, write
@@ -70,6 +70,21 @@ class Folder:
         if not new and not path.is_file():
             raise ValueError(f"{name}: no such file in the studio's folder {self.root.name}")
         return path
+
+    def within(self, name: str, *, new: bool = False) -> Path:
+        """The file of a name in it, or in folders in it ("final/a.png", as of SavedPictures.name_of). Raises ValueError
+        as `file`."""
+        folder, _, last = name.rpartition("/")
+        if not folder:
+            return self.file(name, new=new)
+        parts = PurePosixPath(folder).parts
+        if any(part.startswith((".", "/")) or re.search(r"[\\:\x00-\x1f]", part) for part in parts):
+            raise ValueError(f"{name!r}: expected the name of a file in the studio's folder")
+        # A folder like this one: its files are judged alike, and no link leads out of it.
+        inner = self.root.joinpath(*parts)
+        if inner.resolve() != inner or not inner.is_dir():
+            raise ValueError(f"{name}: lies outside the studio's folder")
+        return Folder(inner).file(last, new=new)
 
     def names(self) -> list[str]:
         """Assets and projects in it, by name."""

@@ -1,4 +1,4 @@
-"""The watched folder: a picture that is saved there is offered to every client as an edit.
+"""The watched folder: a picture that is saved there, or in a folder in it, is offered to every client as an edit.
 
 The folder is looked at every moment, as `splatpainter watch` does it: network folders, and those that a virtual machine
 shares, send no events.
@@ -46,7 +46,7 @@ async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
             if saved is None:
                 saved = await asyncio.to_thread(SavedPictures, studio.folder.root)
             for path in await asyncio.to_thread(saved.take):
-                await offer(hub, path.name)
+                await offer(hub, saved.name_of(path))
         except Exception as error:
             log.warning("the watched folder: %s", error)
             text = f"The folder {studio.folder.root.name} cannot be watched."
@@ -61,8 +61,8 @@ async def watch(hub: Hub, retry_seconds: float = RETRY_SECONDS) -> None:
 
 
 async def offer(hub: Hub, name: str, read: Callable[[Studio, str], StoredBlob | None] | None = None) -> None:
-    """Offer the file of that name to every client, or say what is wrong with it. Raises nothing. read: default
-    saved_picture."""
+    """Offer the file of that name in the folder ("a.png", "final/a.png") to every client, or say what is wrong with it.
+    Raises nothing. read: default saved_picture."""
     # Whatever is wrong with one file, the watch goes on.
     title = name.encode("utf-8", "replace").decode()  # names need not be text
     try:
@@ -86,7 +86,8 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
     offered before. Raises FileNotFoundError where it is gone; ValueError: no regular file, too large, no whole
     picture."""
     # Hidden files are how programs write before they rename.
-    if studio.folder is None or name.startswith(".") or not name.lower().endswith(SUFFIXES):
+    hidden = any(part.startswith(".") for part in name.split("/"))
+    if studio.folder is None or hidden or not name.lower().endswith(SUFFIXES):
         return None
     try:
         status = (studio.folder.root / name).stat()
@@ -97,7 +98,7 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
     # A pipe would be waited for without end.
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("expected a picture, got a folder, a pipe or a device")
-    path = studio.folder.file(name)
+    path = studio.folder.within(name)
     limit = studio.options.limits.picture
     if status.st_size > limit:
         raise ValueError(f"expected at most {limit >> 20} MiB")
@@ -106,7 +107,7 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
     # What the studio wrote there itself, or offered already, is no edit.
     if studio.written.get(name) == sha256:
         return None
-    blob = studio.blobs.put(data, name)
+    blob = studio.blobs.put(data, path.name)
     if blob.info.kind != "picture":
         raise ValueError("expected a picture")
     # Whole or not: only reading all of it tells.

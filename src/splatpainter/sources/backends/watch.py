@@ -113,7 +113,8 @@ class WatchSource:
         while True:
             for path in saved.take():
                 # Whatever begins with the name counts, so that "save as" may add to it; view_0001 is another view.
-                if not re.match(rf"{stem}(?!\d)", path.name) or (path.name in sent and path != view):
+                ours = path.parent == view.parent and path.name in sent
+                if not re.match(rf"{stem}(?!\d)", path.name) or (ours and path != view):
                     continue
                 try:
                     # A file that was only touched is no answer yet.
