@@ -129,6 +129,25 @@ def test_paint_is_no_mistake(made: Callable[[], np.ndarray]) -> None:
     assert (explanation is None) == (made not in (PAINT["all one colour"], PAINT["a pattern multiplied on all"]))
 
 
+@pytest.mark.parametrize("name", ["linear", "encoded twice", "linear JPEG"])
+@pytest.mark.parametrize("share", [0.6, 0.75])
+def test_a_curve_through_all_is_named_under_much_paint(name: str, share: float) -> None:
+    """What is left of it has many tones, and no paint follows a curve through them. Black behind it stays black."""
+    words, made = MISTAKES[name]
+    view = VIEW * ALPHA[..., None]
+    picture = eight_bits(made(view + top(share) * (confetti() - view)))
+    explanation = explain(picture, view, ALPHA)
+    assert explanation is not None and words in explanation.words and not explanation.may_be_meant, explanation
+
+
+@pytest.mark.parametrize("rest", [0.5 * VIEW, 0.8 * VIEW, VIEW * 0.6 + 0.1, decoded(VIEW) * 0.8, VIEW**1.6])
+def test_paint_over_all_in_two_ways_is_no_curve(rest: np.ndarray) -> None:
+    """A decal on the upper part, a glaze or a darker grade on the rest."""
+    decal = top(0.6)
+    explanation = explain(eight_bits(VIEW + top(1.0) * (rest - VIEW) + decal * (confetti() - rest)), VIEW, ALPHA)
+    assert explanation is None or explanation.may_be_meant, explanation
+
+
 def radius() -> np.ndarray:
     """[H, W, 1] 0 in the middle of the picture, 1 in its corners."""
     return (np.hypot(*np.mgrid[-119.5:120, -119.5:120]) / np.hypot(119.5, 119.5))[..., None]

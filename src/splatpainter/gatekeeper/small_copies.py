@@ -47,6 +47,15 @@ class CopyThresholds:
     """Share of what a mistake changes that must be as it makes it: the rest may be painted over. On eighteen views of
     six captures: mistakes 0.77 to 1.00, recoloured by hand over 70 % 0.52 to 0.93; those have more than
     max_contradicting."""
+    min_explained_tones: float = 0.2
+    """The same of a mistake that changes every colour by one known curve (linear light), where what is as it makes it
+    has many tones and nothing is as it was rendered: no paint follows a curve through them. The rest is painted
+    over."""
+    min_tones: float = 0.15
+    """Range of the rendered values of what is as such a mistake makes it, between the middle four fifths: other curves,
+    and glazes, cross it within 0.05."""
+    max_contradicting_tones: float = 0.002
+    """Share of what such a mistake changes that may be as it was rendered."""
     max_contradicting: float = 0.015
     """Share of what a mistake changes that may be as it was rendered. Mistakes have none of it; colours changed by hand
     over 85 % 0.03 and more."""
@@ -249,10 +258,13 @@ def explained_by(mistake: Mistake, made: np.ndarray, view: SmallView) -> Explana
         return None
     # A mistake changes everything: pixels that are as they were rendered speak against it. The likeliest answer, as
     # most pictures were painted on, so it is asked first.
-    if float(view.unchanged[predicted].mean()) > COPIES.max_contradicting:
+    contradicting = float(view.unchanged[predicted].mean())
+    if contradicting > COPIES.max_contradicting:
         return None
     agrees = mean_difference(view.picture, made) <= COPIES.max_difference
-    if float(agrees[predicted].mean()) < COPIES.min_explained:
+    explained = float(agrees[predicted].mean())
+    through_tones = explained >= COPIES.min_explained_tones and contradicting <= COPIES.max_contradicting_tones
+    if explained < COPIES.min_explained and not (through_tones and _is_one_curve(mistake, view, predicted & agrees)):
         return None
     # What changes colours changes all of the background or nothing of it; a large brush reaches a part.
     bare = view.bare & (mean_difference(made, view.render) > COPIES.min_predicted)
@@ -266,3 +278,13 @@ def explained_by(mistake: Mistake, made: np.ndarray, view: SmallView) -> Explana
         if mistake.cause == "colors" and changed >= COPIES.min_uniform and view.background_changed:
             reach = 1.0
     return Explanation(mistake.cause, mistake.words, view.agreeing, float(agrees[view.compared].mean()), mistake, reach)
+
+
+def _is_one_curve(mistake: Mistake, view: SmallView, explained: np.ndarray) -> bool:
+    """Whether a mistake puts all values through one known curve, and what it explains, [h, w] bool, has many of
+    them."""
+    rendered = view.render[explained & view.solid].mean(-1)
+    if mistake.cause != "colors" or mistake.spares != "nothing" or not len(rendered):
+        return False
+    low, high = np.quantile(rendered, (0.1, 0.9))
+    return bool(high - low >= COPIES.min_tones)
