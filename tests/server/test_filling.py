@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from splatpainter.server.uploads.image_registration import png_bytes
+from tests.holes.test_body import SPACING, flat, sphere
 from tests.support import studio_scenes
 from tests.support.studio_pages import opened_page
 from tests.support.studio_scenes import Live, view, wire
@@ -126,6 +127,47 @@ def test_the_page_removes_fills_asks_and_takes_it_back(browser: Any, tool: None,
         page.settled()
         assert np.array_equal(session.splats.means, session.original.means)
         page.wait("the asset", lambda: np.abs(page.pixels() - filled_picture)[middle].max() < 0.05)
+
+
+def test_what_goes_is_tinted_before_and_can_be_changed(browser: Any, tmp_path: Path) -> None:
+    """The whole ball, its back too; what is taken from it stays."""
+    x, z = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(-1, 1, SPACING)]))
+    board = flat(np.stack([x, 0 * x, z], 1), np.tile([0.0, -1, 0], (len(x), 1)), (0.6, 0.6, 0.6))
+    normals = (upright := sphere(0.5, (0.9, 0.2, 0.1)).means - (0, 0.5, 0)) / np.linalg.norm(upright, axis=1)[:, None]
+    ball = flat(0.5 * normals - (0, 0.5, 0), normals, (0.9, 0.2, 0.1))
+    things = board.append(ball)
+    with opened_page(browser, tmp_path, splats=things, still=True) as (live, page):
+
+        def count() -> int:
+            return page.state()["selection"]["gaussians"]
+
+        page.tab.keyboard.press("l")
+        page.drag(*disc(0.19))
+        page.wait("a selection", count)
+        front = count()
+        page.tab.get_by_role("tab", name="Select").click()
+        page.tab.get_by_role("button", name="Whole thing").click()
+        page.wait("the ball, its back too", lambda: count() > 2 * front)
+        weights = live.studio.selection.weights()
+        assert weights is not None
+        body = weights > 0.5
+        assert body[len(board) :].mean() > 0.95 and body[: len(board)].mean() < 0.02
+        panel = page.tab.locator(".selection-panel")
+        assert "What is tinted goes" in panel.inner_text() and "not only what is selected" not in panel.inner_text()
+        page.tab.keyboard.down("Alt")
+        page.drag(*disc(0.1))
+        page.tab.keyboard.up("Alt")
+        page.wait("less", lambda: 0 < count() < body.sum())
+        weights = live.studio.selection.weights()
+        assert weights is not None
+        page.tab.get_by_role("button", name="Remove and fill").click()
+        page.wait("both layers", lambda: page.names() == ["Fill: removed", "Fill"])
+        hidden = live.studio.session.splats.opacities[: len(things)] == 0
+        assert hidden.any() and not hidden[weights < 0.5].any(), "what was tinted, and no more"
+        assert (live.studio.session.splats.opacities[: len(things)] > 0.9)[body & (weights == 0)].sum() > 5
+        page.drag(*disc(0.05))
+        page.wait("another selection", count)
+        assert "not only what is selected" in panel.inner_text(), "of another thing it is asked anew"
 
 
 def disc(radius: float) -> list[tuple[float, float]]:

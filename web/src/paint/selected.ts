@@ -21,6 +21,10 @@ export const cropBox = signal<{ low: Vec3; high: Vec3 } | null>(null);
 /** Whether *Remove and fill* takes the whole thing that is selected, or only what is. */
 export const removesBody = signal(true);
 
+/** The whole thing was asked for and is tinted: what is selected by now, more or less of it, is what goes. */
+export const wholeIsSelected = signal(false);
+
+computed(() => selectedCount.value === 0).subscribe((none) => none && (wholeIsSelected.value = false));
 selection.subscribe(() => (faintPoints.value = []));
 computed(() => state.value?.session).subscribe(() => (cropBox.value = null));
 

@@ -9,11 +9,23 @@ import { camera, readOnly, selectedLayer, state, toast } from "../state/store";
 import { sameView, type CameraJson } from "../view/camera";
 import { maskPng } from "./picture";
 import type { Mask } from "./raster";
-import { faintPoints, removesBody, selectedCount, selection, selectionSent, selectionWaits, sent } from "./selected";
+import {
+  faintPoints,
+  removesBody,
+  selectedCount,
+  selection,
+  selectionSent,
+  selectionWaits,
+  sent,
+  wholeIsSelected,
+} from "./selected";
 import { combine, isEmpty, type Combine } from "./selection-masks";
 
 /** The camera rests so long before what it shows of the selection is fetched. */
 const REST_MS = 120;
+
+/** Changes after which it is the same thing that is selected. */
+const EDGES: readonly SelectChange["to"][] = ["grow", "shrink", "feather"];
 
 /** Act on what is selected, once that is known: a key right after a lasso means the lasso. */
 export async function withSelection(act: (selected: number) => unknown): Promise<void> {
@@ -28,6 +40,7 @@ export function selectArea(mask: Mask, how: Combine, through: boolean): void {
   const next = combine(selection.value, mask, how);
   if (isEmpty(mask) && how !== "replace") return;
   if (isEmpty(next)) return void changeSelection("none");
+  if (how === "replace") wholeIsSelected.value = false;
   selection.value = next;
   shown.dropRequests(); // what was fetched before is out of date
   void sent(async () => {
@@ -40,7 +53,16 @@ export function selectArea(mask: Mask, how: Combine, through: boolean): void {
 export function changeSelection(to: SelectChange["to"], radius = 0, share?: number): void {
   if (!state.value) return;
   if (to === "none") selection.value = null;
+  if (!EDGES.includes(to)) wholeIsSelected.value = false;
   void sent(() => run("selection.change", { to, radius, ...(share === undefined ? {} : { share }) }, "Selecting"));
+}
+
+/** Select the whole thing that something is selected of: tinted, it is to be added to and taken from before it goes. */
+export async function selectWhole(): Promise<void> {
+  const answer = await sent(() => run("selection.change", { to: "body" }, "Looking for the whole thing"));
+  if (!answer) return;
+  wholeIsSelected.value = true;
+  if (answer.note) toast("info", answer.note);
 }
 
 export const deselect = (): void => changeSelection("none");
@@ -55,7 +77,7 @@ export async function hideSelected(rest: boolean, name: string): Promise<void> {
 /** Fill a hole that is circled, or what is left where the body of what is selected, or just that, is hidden. */
 export async function fillSelected(remove: boolean): Promise<void> {
   if (readOnly.value || selectedCount.value === 0) return;
-  const fields = { remove, body: removesBody.value };
+  const fields = { remove, body: removesBody.value && !wholeIsSelected.value };
   const answer = await sent(() => run("fill.selection", fields, remove ? "Removing and filling" : "Filling"));
   if (!answer) return;
   selectedLayer.value = answer.layer.id;

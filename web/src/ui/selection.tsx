@@ -4,8 +4,8 @@ import { signal } from "@preact/signals";
 
 import type { SelectByAttribute } from "../messages";
 import { healFromAround } from "../paint/mending";
-import { cropBox, removesBody, selectedCount, selection, sent, tinted } from "../paint/selected";
-import { changeSelection, deselect, fillSelected, hideSelected } from "../paint/selection";
+import { cropBox, removesBody, selectedCount, selection, sent, tinted, wholeIsSelected } from "../paint/selected";
+import { changeSelection, deselect, fillSelected, hideSelected, selectWhole } from "../paint/selection";
 import { camera, readOnly, selecting, state } from "../state/store";
 import { editor, report, run } from "../editor/editor";
 import type { Vec3 } from "../view/camera";
@@ -83,6 +83,12 @@ export function SelectionPanel() {
         />
       </p>
       <p class="row">
+        <Button
+          label="Select the whole thing of which something is selected, its back too"
+          text="Whole thing"
+          disabled={none}
+          onClick={() => void selectWhole()}
+        />
         <CommandButton
           label="Hide what is selected, and continue the surface behind it with new Gaussians"
           command="select.fill"
@@ -103,11 +109,15 @@ export function SelectionPanel() {
           onClick={() => void healFromAround().catch(report)}
         />
       </p>
-      <Check
-        label="Remove the whole thing, not only what is selected"
-        value={removesBody.value}
-        onChange={(whole) => (removesBody.value = whole)}
-      />
+      {wholeIsSelected.value ? (
+        <p class="quiet">What is tinted goes: Shift adds to it, Alt takes away.</p>
+      ) : (
+        <Check
+          label="Remove the whole thing, not only what is selected"
+          value={removesBody.value}
+          onChange={(whole) => (removesBody.value = whole)}
+        />
+      )}
       <details open>
         <summary>Edge</summary>
         <Slider

@@ -36,6 +36,8 @@ class Selected(Answer):
     """Gaussians that are selected by half or more."""
     share: Unit
     """Share of the visible ones."""
+    note: str = ""
+    """Why nothing was selected beyond what was, one line."""
 
 
 class SelectArea(Command):
@@ -135,7 +137,7 @@ class SelectChange(Command):
 
     NAME = "selection.change"
     ANSWER = Selected
-    to: Literal["all", "none", "invert", "again", "connected", "floaters", "grow", "shrink", "feather"]
+    to: Literal["all", "none", "invert", "again", "connected", "body", "floaters", "grow", "shrink", "feather"]
     radius: float = Field(default=0.0, ge=0)
     """World units, of grow, shrink and feather; at most the asset's radius."""
     share: Unit = space.FLOATER_SHARE
@@ -164,6 +166,12 @@ def change_selection(context: CommandContext, request: SelectChange) -> Selected
         current.invert(tools.inverted(splats, weights))
     elif request.to == "connected":
         current.choose(space.connected(splats, weights))
+    elif request.to == "body":
+        body, note = context.studio.session.layers.body(weights)
+        if not note:
+            current.choose(body)
+        line = "weights, note = session.layers.body(weights)"
+        return _selected(context, line).model_copy(update={"note": note})
     else:
         # Bounded: a radius of many assets would take long and select everything or nothing.
         limit = MAX_RADIUS_SHARE * context.studio.state.asset.radius
