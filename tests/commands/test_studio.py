@@ -22,7 +22,8 @@ from splatpainter.server import launch
 from splatpainter.server.launch import address, listen
 from splatpainter.server.security import Access
 from splatpainter.server.uploads.storage import demo
-from tests.support.studio_scenes import Browser, ball, view
+from tests.support.studio_process import Server
+from tests.support.studio_scenes import Browser, ball, view, wire
 from tests.support.systems import posix_only
 
 
@@ -59,6 +60,21 @@ def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
     assert process.returncode == 0 and out == "stopped; everything is saved\n", errors
     assert "Traceback" not in errors
     assert not list((tmp_path / "data").rglob("*.splatproj*"))  # nothing was done, nothing is kept
+
+
+@posix_only
+def test_where_the_project_was_deleted_it_says_where_the_work_is(tmp_path: Path) -> None:
+    write(tmp_path / "ball.ply", ball(50))
+    server = Server(tmp_path / "ball.ply", tmp_path)
+    server.start()
+    fields = {"name": "front", "camera": wire(view())}
+    assert httpx.post(f"{server.url}api/do/bookmark.add", json=fields, timeout=30).status_code == 200
+    (project,) = server.projects.glob("*.splatproj")
+    project.unlink()
+    out, errors = server.finished()
+    assert out == "stopped\n", "not all is saved where it was"
+    assert f"was deleted or moved while it was open; what was done in it is in {project.stem}.rescued" in errors
+    assert "Warning" not in errors and len(list(server.projects.glob("*.rescued.splatproj"))) == 1
 
 
 @pytest.mark.parametrize(

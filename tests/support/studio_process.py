@@ -28,7 +28,9 @@ class Server:
 
     def start(self) -> None:
         """Until it serves."""
-        self._process = subprocess.Popen(self._command, stderr=subprocess.PIPE, text=True, env=self._environment)
+        self._process = subprocess.Popen(
+            self._command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self._environment
+        )
         assert self._process.stderr is not None
         for line in self._process.stderr:
             if self.url in line:
@@ -39,6 +41,14 @@ class Server:
         """Send its process a signal."""
         assert self._process is not None
         self._process.send_signal(number)
+
+    def finished(self) -> tuple[str, str]:
+        """(what it printed, what it complained of since it served), interrupted as by Ctrl-C."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGINT)
+        out, errors = self._process.communicate()
+        self._process = None
+        return out, errors
 
     def end(self, crash: bool) -> None:
         if self._process is not None:

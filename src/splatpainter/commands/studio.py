@@ -96,5 +96,9 @@ def run(config: Config) -> Outcome:
         # Whatever stops it before it listens ends it without the shutdown that closes all of this.
         studio.close()
         bound.close()
+    # Of a project that another program replaced or deleted meanwhile, closing says where the work is.
+    if studio.last_note:
+        complain(studio.last_note)
+    line = "stopped" if studio.last_note else "stopped; everything is saved"
     # Without the token: the record may end in a log.
-    return Outcome({"address": url.partition("?")[0]}, ["stopped; everything is saved"])
+    return Outcome({"address": url.partition("?")[0]}, [line])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import secrets
 import threading
+import warnings
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
@@ -98,6 +99,8 @@ class Studio:
         self.news: list[str] = []
         """What was found of a project that was closed, opened or taken over, for people."""
         self.held_layers = HeldLayers()
+        self.last_note = ""
+        """What was found when the last project was closed: another program had replaced or deleted its file."""
         self.written: dict[str, str] = {}
         """Pictures that the studio itself wrote into the folder: name -> sha256, to be told from saved ones."""
         # The folders exist by now, so a session that cannot be described has to leave none of them behind.
@@ -376,7 +379,12 @@ class Studio:
             self._preparing.join()
         self.held_layers.show(self.session)
         self.draw_picture()
-        _close(self.session, self.projects)
+        before = self.session.note
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # said by who closes it
+            _close(self.session, self.projects)
+        if self.session.note != before:
+            self.last_note = self.session.note
         self.blobs.close()
         self.scratch.close()
 
