@@ -24,7 +24,6 @@ export const removesBody = signal(true);
 /** The whole thing was asked for and is tinted: what is selected by now, more or less of it, is what goes. */
 export const wholeIsSelected = signal(false);
 
-computed(() => selectedCount.value === 0).subscribe((none) => none && (wholeIsSelected.value = false));
 selection.subscribe(() => (faintPoints.value = []));
 computed(() => state.value?.session).subscribe(() => (cropBox.value = null));
 

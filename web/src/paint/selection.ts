@@ -116,6 +116,7 @@ class ShownSelection {
     if (present.selection.gaussians === 0) {
       this.dropRequests();
       selection.value = null;
+      wholeIsSelected.value = false;
       return;
     }
     if (moved) selection.value = null;
