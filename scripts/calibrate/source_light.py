@@ -7,7 +7,8 @@ another asset of the same mesh by the ratio of irradiances, and compared with th
 What is learnt is what makes that best, in dB of display luminance, a mean over meshes. Adam, with a pull towards
 START; each mesh is judged by numbers that were learnt on others.
 
-Environments in which `bench light` makes its first twelve held-out assets take no part.
+Environments in which `bench light` of seed 0 makes its first twelve held-out assets take no part (HELD_LIGHTS); of
+other seeds the meshes alone are held out.
 
 Run: python scripts/calibrate/source_light.py MESHES HDRIS WORK [--objects 120] [--lights 4]
 

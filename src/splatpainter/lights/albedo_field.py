@@ -7,8 +7,12 @@ light of degree 2 cannot explain (a small sun, gloss, neighbours) is a field ove
 closed form then weighs all differences of colour by what they are worth.
 
 The numbers of the field, and of how much each reading counts, are learnt: `scripts/calibrate/source_light.py` prints
-them. All is told in axes with z up. Turning an asset about the vertical turns the answer, but for what the cells and
-the box are in which it is looked at.
+them. They are of 519 assets, some of which were drawn too dark, as grey pictures were taken for normal maps. Fitted
+anew to 138 fitted and 140 coarse assets without that fault, they relight 27 held-out pairs, made in lights that were
+not learnt from, by 0.00 +- 0.04 dB better (fitted) and 0.03 +- 0.09 dB worse (coarse), so that they stay.
+
+All is told in axes with z up. Turning an asset about the vertical turns the answer, but for what the cells and the box
+are in which it is looked at.
 """
 
 from __future__ import annotations
