@@ -149,6 +149,18 @@ def test_joint_colors_leave_what_no_view_edits():
     assert db(draw(result, front()), views[0].before, beside) > 12  # 9.4 where nothing holds them
 
 
+def test_joint_colors_follow_what_views_agree_on():
+    """Of Gaussians smaller than a pixel, too, their old colour keeps little."""
+    splats = sheet(120, opacity=0.98)
+    truth = recolored(splats, RED, radius=0.4)
+    views = views_of(splats, [(front(), truth), (from_side(30), truth)])
+    shares_of_all = view_shares(splats, Surface.of(splats), views)
+    result = with_joint_colors(splats, np.ones(len(splats), bool), views, shares_of_all)
+    middle = np.hypot(*splats.means[:, :2].T) < 0.3
+    went = (result.sh - splats.sh)[middle, 0] / (truth.sh - splats.sh)[middle, 0]
+    assert np.median(went) > 0.8
+
+
 def test_joint_colors_leave_long_gaussians_that_reach_out_of_the_paint():
     """A streak of fog crosses the disk and goes on beyond the tiles that are looked at."""
     long = sheet(2).take(np.zeros(1, np.int64))
