@@ -34,6 +34,7 @@ def projections(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     monkeypatch.setattr(recent_views, "project", counted)
     monkeypatch.setattr(latest_view, "_latest", [])
+    monkeypatch.setattr(arrays, "_idle", arrays._IdleMemory())  # a command of another test may have switched it off
     return counts
 
 

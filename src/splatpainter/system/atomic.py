@@ -63,7 +63,10 @@ def writing(path: Path) -> Iterator[BinaryIO]:
     target = Path(os.path.realpath(path))
     partial = target.with_name(f".{brief_name(target.name)}.{secrets.token_hex(4)}.part")
     try:
-        with io.BufferedWriter(_EarlyFile(partial, "wb")) as file:
+        with (
+            open(partial, "wb", buffering=0) as raw,
+            io.BufferedWriter(_EarlyFile(raw.fileno(), "wb", closefd=False)) as file,
+        ):
             yield file
             file.flush()
             os.fsync(file.fileno())

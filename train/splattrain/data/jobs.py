@@ -6,11 +6,14 @@ be made anywhere, in any order, again.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
+
+import torch
 
 from splattrain.data.object_sources import (
     HELD_OUT_SHARE,
@@ -114,6 +117,18 @@ def holds_splats(folder: Path) -> bool:
     return has_gaussians
 
 
+@contextlib.contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Sums by several have other last bits, and how many there are depends on the machine and on `--workers`."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@one_torch_thread()
 def render_scene(job: RenderJob, number: int) -> RenderedScene:
     """Scene `number`: what cannot be made (a bad file, an edit that shows nowhere) is skipped, with the reason.
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from splattrain.commands.data import SUMMARIES
 from splattrain.data.samples import Sample
@@ -54,7 +55,11 @@ def test_render_check_and_read(meshes: Path, tmp_path: Path, capfd: Capture) -> 
 
 def test_it_carries_on_and_two_processes_make_the_same_bytes(meshes: Path, tmp_path: Path, capfd: Capture) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)  # workers have one, and sums by two have other bits
     assert run(capfd, "data", "render", meshes, "--out", one, *SMALL, "--per-shard", 1, "--scenes", 2).code == 0
+    assert torch.get_num_threads() == 2
+    torch.set_num_threads(threads)
     again = run(capfd, "data", "render", meshes, "--out", one, *SMALL, "--per-shard", 1, "--scenes", 4)
     assert (
         again.code == 0 and "2 scenes made, 2 there before" in again.out
