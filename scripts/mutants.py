@@ -107,7 +107,7 @@ def main(options: Options) -> int:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         for name, package in PACKAGES.items():
-            shutil.copytree(package, copy / name, ignore=shutil.ignore_patterns("__pycache__", "static"))
+            shutil.copytree(package, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
         took: dict[str, float] = {}
         for test in sorted({test for mutation in chosen for test in mutation.tests}):
             begun = time.monotonic()
