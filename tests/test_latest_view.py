@@ -97,6 +97,7 @@ def test_nobody_else_finds_it(projections: list[int]) -> None:
         PAINTER.apply(other, edits)
         assert projections == [3000] * len(edits)
     assert same(painted(asset, edit), result)
+    assert latest_view.latest_view(asset, replace(CAMERA, fx=CAMERA.fx + 1)) is None
 
 
 def test_it_goes_with_its_assets_and_is_not_there_where_memory_is_dear(
