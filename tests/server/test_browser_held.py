@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 
 from splatpainter.io import write
+from splatpainter.server.held_layers import HELD, HeldLayers
+from splatpainter.server.page_state import PageState
 from tests.support import studio_scenes
 from tests.support.studio_pages import Page, window
 from tests.support.studio_process import Server
@@ -133,3 +135,15 @@ def test_a_lost_connection_shows_it_until_it_is_back(changing: tuple[Server, Pag
     page.wait("it to be hidden again", lambda: not visible(page))
     page.tab.keyboard.press("Escape")
     page.wait("it as it was", lambda: visible(page))
+
+
+def test_only_what_is_hidden_to_be_changed_is_held() -> None:
+    """A layer that was switched off by its eye, in whatever gesture, stays so when the page goes."""
+    held, page, other = HeldLayers(), PageState("one"), PageState("other")
+    for layer, visible, gesture in (("1", False, None), ("2", False, "eyes 4"), ("3", True, f"{HELD}3 5")):
+        held.note(page, layer, visible, gesture)
+        assert not held.of(page)
+    held.note(page, "4", False, f"{HELD}4 6")
+    assert held.of(page) and not held.of(other)
+    held.note(page, "4", True, None)
+    assert not held.of(page)
