@@ -2,46 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from splatpainter.io import write
 from splatpainter.server.held_layers import HELD, HeldLayers
 from splatpainter.server.page_state import PageState
-from tests.support import studio_scenes
-from tests.support.studio_pages import Page, window
-from tests.support.studio_process import Server
+from tests.support.studio_pages import Page
+from tests.support.studio_process import Server, served_page
 from tests.support.systems import posix_only
 
 
 @pytest.fixture
 def changing(browser: Any, tmp_path: Path) -> Iterator[tuple[Server, Page]]:
     """A page in which a text, which is a layer, is being changed."""
-    asset = tmp_path / "ball.ply"
-    write(asset, studio_scenes.ball(600))
-    server = Server(asset, tmp_path)
-    try:
-        server.start()
-        with window(browser, server.url, still=True) as page:
-            page.tab.keyboard.press("t")
-            page.more()
-            page.tab.get_by_label("On the surface").uncheck()
-            page.tab.get_by_role("textbox", name="Text", exact=True).fill("TEA")
-            page.drag((0.5, 0.5))
-            page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
-            page.tab.locator("#stage").press("Enter")
-            page.wait("the layer", lambda: page.names() == ["Text: TEA"])
-            page.settled()
-            change(page)
-            yield server, page
-            page.problems = [one for one in page.problems if "WebSocket" not in one and "ERR_" not in one]
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            server.end(crash=False)
+    with served_page(browser, tmp_path) as (server, page):
+        page.lay_text("TEA")
+        page.settled()
+        change(page)
+        yield server, page
 
 
 def change(page: Page) -> None:

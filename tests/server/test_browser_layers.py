@@ -121,14 +121,7 @@ def test_strokes_go_into_the_chosen_layer_from_several_views_and_undo_one_by_one
 
 def test_words_and_stickers_are_changed_after_they_were_applied(opened: tuple[studio_scenes.Live, Page]) -> None:
     live, page = opened
-    page.tab.keyboard.press("t")
-    page.more()
-    page.tab.get_by_label("On the surface").uncheck()
-    page.tab.get_by_role("textbox", name="Text", exact=True).fill("TEA")
-    page.drag((0.5, 0.5))
-    page.wait("the text", lambda: page.tab.get_by_role("button", name="Apply").count())
-    page.tab.locator("#stage").press("Enter")
-    page.wait("the layer", lambda: page.names() == ["Text: TEA"])
+    page.lay_text("TEA")
     page.fold()
     page.settled()
     first = page.pixels()

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splatpainter.io import write
-from tests.support import studio_scenes
-from tests.support.studio_pages import Page, window
-from tests.support.studio_process import Server
+from tests.support.studio_pages import Page
+from tests.support.studio_process import Server, served_page
 from tests.support.systems import posix_only
 
 OVERLAY = """() => {
@@ -31,21 +29,12 @@ OVERLAY = """() => {
 @pytest.fixture
 def killed(browser: Any, tmp_path: Path) -> Iterator[tuple[Server, Page]]:
     """A page with one stroke, whose server is killed and started again."""
-    asset = tmp_path / "ball.ply"
-    write(asset, studio_scenes.ball(600))
-    server = Server(asset, tmp_path)
-    try:
-        server.start()
-        with window(browser, server.url, still=True) as page:
-            page.tab.keyboard.press("b")
-            page.drag((0.42, 0.45), (0.5, 0.45))
-            page.wait("a layer", lambda: page.names() == ["Paint"])
-            page.settled()
-            yield server, page
-            page.problems = [one for one in page.problems if "WebSocket" not in one and "ERR_" not in one]
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            server.end(crash=False)
+    with served_page(browser, tmp_path) as (server, page):
+        page.tab.keyboard.press("b")
+        page.drag((0.42, 0.45), (0.5, 0.45))
+        page.wait("a layer", lambda: page.names() == ["Paint"])
+        page.settled()
+        yield server, page
 
 
 def kill(server: Server, page: Page) -> None:

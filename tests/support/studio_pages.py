@@ -301,6 +301,17 @@ class Page:
         """Until every stroke is a layer and the overlay is gone."""
         self.wait("saved strokes", lambda: self.tab.locator(".connection").inner_text().strip() == "Saved")
 
+    def lay_text(self, text: str) -> None:
+        """A layer of it in the middle of the view, facing the camera; the tool's settings stay in sight."""
+        self.tab.keyboard.press("t")
+        self.more()
+        self.tab.get_by_label("On the surface").uncheck()
+        self.tab.get_by_role("textbox", name="Text", exact=True).fill(text)
+        self.drag((0.5, 0.5))
+        self.wait("the text", lambda: self.tab.get_by_role("button", name="Apply").count())
+        self.tab.locator("#stage").press("Enter")
+        self.wait("the layer", lambda: self.names() == [f"Text: {text}"])
+
     def more(self) -> None:
         """Bring into sight the tool's settings that do not fit into its bar."""
         button = self.tab.locator(".options .more button")

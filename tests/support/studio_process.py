@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+from splatpainter.io import write
 from splatpainter.server.launch import listen
 from splatpainter.system.user_folders import PROJECTS_VARIABLE
+from tests.support import studio_scenes
+from tests.support.studio_pages import Page, window
 
 
 class Server:
@@ -58,3 +64,19 @@ class Server:
                 self._process.send_signal(signal.SIGINT)
             self._process.communicate()
         self._process = None
+
+
+@contextlib.contextmanager
+def served_page(browser: Any, folder: Path) -> Iterator[tuple[Server, Page]]:
+    """A studio with a ball in a process that may be killed, and its page, which may complain of lost connections."""
+    asset = folder / "ball.ply"
+    write(asset, studio_scenes.ball(600))
+    server = Server(asset, folder)
+    try:
+        server.start()
+        with window(browser, server.url, still=True) as page:
+            yield server, page
+            page.problems = [one for one in page.problems if "WebSocket" not in one and "ERR_" not in one]
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            server.end(crash=False)
