@@ -20,7 +20,9 @@ from splatpainter.captures import CapturedView, capture_of, captured_views, is_c
 from splatpainter.captures.colmap import read_model, read_points
 from splatpainter.captures.inria import TrainingArguments, training_arguments
 from splatpainter.captures.lenses import PolynomialLens
+from splatpainter.captures.nerfstudio import ParserFrame
 from splatpainter.image_files import write_png
+from splatpainter.scene.placement import Placement
 from tests.support.capture_folders import angle_of, opengl_pose, write_colmap, write_inria, write_table
 
 POINTS = np.array([[0.1, 0.2, 0.3], [-0.4, 0.1, 0.2], [0.3, -0.3, -0.1]])
@@ -669,3 +671,14 @@ def test_a_damaged_list_of_cameras_says_what_is_wrong_with_it(text: str, problem
     assert is_capture(path)
     with pytest.raises(ValueError, match=re.escape(problem)):
         captured_views(path)
+
+
+def test_a_frame_takes_back_what_was_applied_to_a_table() -> None:
+    """A turn, a shift and a scale of a table's poses, undone before the data parser's own."""
+    turn = Placement.of(turn=(20.0, 30.0, -50.0)).matrix
+    applied, parser = np.eye(4), np.eye(4)
+    applied[:3, :3], applied[:3, 3] = turn, (0.4, -1.2, 3.0)
+    parser[:3, :3], parser[:3, 3] = turn.T, (1.0, 2.0, -0.5)
+    frame = ParserFrame(parser, 0.5).after(applied, 2.0)
+    np.testing.assert_allclose(frame.transform, parser @ np.linalg.inv(applied), atol=1e-12)
+    assert frame.scale == 0.25
