@@ -151,7 +151,8 @@ class ListConfig:
 
 
 def render(config: RenderConfig) -> Outcome:
-    """Make the scenes that are missing, and write them as they come."""
+    """Make the scenes that are missing, and write them as they come. Raises ValueError as `job_of`, and where not one
+    sample could be made."""
     from splatpainter.batch.cluster import LostTask
     from splattrain.data.jobs import open_source
     from splattrain.data.shards import RenderedScene, ShardWriter
@@ -171,6 +172,10 @@ def render(config: RenderConfig) -> Outcome:
                 kinds.update(scene.kinds)
         index = writer.index
     samples = sum(len(scene["samples"]) for shard in index["shards"] for scene in shard["scenes"])
+    reasons = [f"{entry['object']}: {entry['reason']}" for entry in index["skipped"]]
+    if not samples:
+        scenes, last = count(index["scenes"], "scene"), reasons[-1] if reasons else "there was none"
+        raise ValueError(f"splatpainter data render: no sample of {scenes} could be made; the last: {last}")
     written = sum(shard["bytes"] for shard in index["shards"])
     record = {
         "out": config.out,
@@ -187,7 +192,6 @@ def render(config: RenderConfig) -> Outcome:
     lines = [f"{count(samples, 'sample')} in {count(len(index['shards']), 'shard')} ({size(written)}); {made}"]
     if kinds:
         lines.append("made: " + ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items())))
-    reasons = [f"{entry['object']}: {entry['reason']}" for entry in index["skipped"]]
     return Outcome(record, [*lines, *_some("skipped", reasons), f"-> {config.out}"])
 
 

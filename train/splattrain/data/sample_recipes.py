@@ -59,6 +59,11 @@ class SampleRecipe:
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise ValueError(f"recipe: expected {name} of at least {bound}, got {getattr(self, name)}")
+        if self.rows > self.surfels:
+            raise ValueError(
+                f"recipe: expected no more rows than surfels, of which assets are made, got {self.rows:,} rows and "
+                f"{self.surfels:,} surfels"
+            )
         if not 0 < self.detail[0] <= self.detail[1]:
             raise ValueError(f"recipe: expected a detail of two rising factors above 0, got {self.detail}")
         if not 1 <= len(self.views) <= 16 or min(self.views) < 0 or sum(self.views) <= 0:

@@ -133,6 +133,7 @@ def test_bad_input_is_one_line(meshes: Path, tmp_path: Path, capfd: Capture) -> 
         (("data", "render", "procedural:0", "--out", out), "expected procedural:COUNT"),
         (("data", "render", meshes, "--out", out, "--kinds", "magic"), "expected kinds of"),
         (("data", "render", meshes, "--out", out, "--size", 2), "size of at least 16"),
+        (("data", "render", meshes, "--out", out, "--surfels", 2000), "no more rows than surfels"),
         (("data", "render", meshes, "--out", out, "--workers", 0), "--workers of at least 1"),
         (("data", "render", meshes, "--out", out, "--scenes", 0), "--scenes of at least 1"),
         (("data", "render", meshes, "--out", out, "--truth", "path", "--kinds", "text"), "expected kinds of relight"),
@@ -144,6 +145,15 @@ def test_bad_input_is_one_line(meshes: Path, tmp_path: Path, capfd: Capture) -> 
     refused = run(capfd, "data", "render", meshes, "--out", out, "--environments", lights)
     assert refused.code == 2 and "holds no environment" in refused.err.splitlines()[-1]
     assert not out.exists()
+
+
+def test_shards_without_a_sample_are_an_error(meshes: Path, tmp_path: Path, capfd: Capture) -> None:
+    """When it is made and when it is started again: a training on them would only say so later."""
+    for name in ("green", "red"):
+        (meshes / f"{name}.glb").unlink()
+    for _ in range(2):
+        refused = run(capfd, "data", "render", meshes, "--out", tmp_path / "shards", *SMALL)
+        assert refused.code == 2 and "no sample of 1 scene could be made; the last: torn: " in refused.error
 
 
 @pytest.mark.shared
