@@ -211,8 +211,18 @@ def test_the_picture_decides_where_it_can_and_the_network_where_it_is_sure() -> 
         errors.append(np.square(render(colored.splats, camera).colors[0] - view.edited)[view.mask].mean())
     start = np.square(render(with_colors(lifted, answer).splats, camera).colors[0] - view.edited)[view.mask].mean()
     assert errors[0] < 0.05 * start and errors[0] < 0.5 * errors[1] < start
-    unread = NetworkColors(wrong, np.full(len(wrong), np.inf, np.float32))
+    unread = NetworkColors(np.full_like(truth, 0.9), np.full(len(wrong), np.inf, np.float32))
     np.testing.assert_array_equal(with_colors(lifted, unread).splats.sh, splats.sh)
+
+
+def test_colors_that_hardly_move_keep_their_bits() -> None:
+    """A picture half a thousandth brighter than the sheet asks for less than receipts are to name."""
+    splats, camera = sheet()
+    lifted, view, truth = painted(0)
+    picture = render(splats, camera).colors[0] + np.float32(0.0005)
+    (brighter,) = edit_views(splats, [camera], [picture], [view.mask])
+    answer = NetworkColors(np.full_like(truth, 0.5), np.full(len(truth), 0.1, np.float32))
+    np.testing.assert_array_equal(held(lifted, answer, [brighter]).splats.sh, splats.sh)
 
 
 def plain_view(level: float) -> EditView:
