@@ -107,6 +107,33 @@ def test_nothing_lies_over_the_state_in_narrow_windows(browser: Any, tmp_path: P
         assert page.ask(CUT_OFF) == []
 
 
+BEYOND = """() => {
+  const controls = [...document.querySelectorAll("button, select, input, summary, dialog span")];
+  const shown = controls.filter((one) => one.checkVisibility() && one.getBoundingClientRect().width > 0);
+  const within = (one) => one.closest("dialog .formats label, .side > *") ?? document.body;
+  const edgeOf = (one) => within(one).getBoundingClientRect().right;
+  return shown
+    .filter((one) => one.getBoundingClientRect().right > Math.min(innerWidth, edgeOf(one)) + 1)
+    .map((one) => one.getAttribute("aria-label") || one.innerText || one.type);
+}"""
+"""Controls that reach out of their panel, or of the window; words of a dialogue that reach out of their row."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (844, 390), (820, 1180), (1024, 768)])
+def test_every_panel_fits_where_fingers_touch(browser: Any, tmp_path: Path, width: int, height: int) -> None:
+    """Hues made the panels of a tablet wider than they are; on a phone half of all sliders were outside."""
+    with screen(browser, tmp_path, width, height, "0.25", has_touch=True, is_mobile=True) as page:
+        page.settled()
+        for tab in page.tab.get_by_role("tab").all():
+            tab.click()
+            assert page.ask(BEYOND) == [] and page.ask(TOO_SMALL) == [], tab.inner_text()
+        assert page.ask(BOX, ".layer-settings input[type=range]")[2] > 40, "the opacity can be dragged"
+        page.tab.keyboard.press("Control+s")
+        page.tab.get_by_role("dialog").wait_for()
+        assert page.ask(BEYOND) == [] and page.ask(TOO_SMALL) == []
+
+
 CUT_OFF = """() => [...document.querySelectorAll(".options-row")].flatMap((row) => {
   const { left, right, bottom } = row.getBoundingClientRect();
   const boxes = [...row.children].map((one) => [one.innerText, one.getBoundingClientRect()]);
