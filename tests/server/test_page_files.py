@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gzip
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -62,3 +63,13 @@ def test_exports_read_packed_scripts(tmp_path: Path):
     assert page_file(tmp_path / "viewer.js") == SCRIPT
     with pytest.raises(FileNotFoundError):
         page_file(tmp_path / "engine.js")
+
+
+def test_fill_is_what_comes_behind_something_and_no_light() -> None:
+    """What buttons, sliders and headings of the page say."""
+    sources = (Path(__file__).resolve().parents[2] / "web/src/ui").glob("*.tsx")
+    texts = [source.read_text(encoding="utf-8") for source in sources]
+    labels = [label for text in texts for label in re.findall(r'\b(?:label|text|title)="([^"]+)"', text)]
+    fills = [label for label in labels if re.search(r"\bfill\b", label, re.IGNORECASE)]
+    assert "Remove and fill" in fills and len(labels) > 100
+    assert not [label for label in fills if re.search("light|sun|lamp", label, re.IGNORECASE)]

@@ -225,7 +225,7 @@ export function LightPanel(props: Props) {
       />
       {!lights.add && (
         <Percent
-          label="Fill light"
+          label="All around"
           value={lights.fill ?? (lights.sky === "" ? LAMP_FILL : 0)}
           reset={lights.sky === "" ? LAMP_FILL : 0}
           disabled={disabled}
