@@ -7,7 +7,8 @@ smooth, which PSNR hardly sees.
 
 The truth has the noise of its paths, which no method can know: at 16 paths fitted assets lit by the true ratio gain
 2.97 dB with it and 3.85 without it (35 held-out pairs). So it is path traced twice: the product of the errors to both
-has no noise in the mean.
+has no noise in the mean. Where both differ by specks, and so would an asset that is fitted to such views, it is traced
+with more paths (`quiet_truth`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from splatbench.ground_truth import GroundTruth, build_asset
 from splatbench.objects import drawn_lights, environments, generator, objects
 from splatbench.painted import lpips_weights
 from splatbench.painted_cases import SOURCES, AssetKind
+from splatbench.quiet_truth import SPECK_STEP, inside, quiet_views
 from splatbench.scoring import compared
 from splatbench.timing import machine
 from splatpainter import text_tables as tables
@@ -39,11 +41,9 @@ from splatpainter.lights.source_light import SourceLight
 from splatpainter.splats import SH_C0, Splats
 from splattrain.data.object_sources import split
 
-SPECK_STEP = 0.15
-"""Luminance, display units, by which a pixel differs from the median of the nine around it where it counts as a
-speck; the truth's own difference there is taken off."""
 MAX_TRUTH_SPECKS = 0.05
-"""Share of specks in a truth that can judge."""
+"""Share of specks in a truth that can judge: its texture's, or those of faces that lie on each other, as noise is
+traced away."""
 CELL_PX = 150
 ROWS = (
     "nothing",
@@ -88,7 +88,7 @@ class LightBench:
     truth: Literal["traced", "surfels"] = "traced"
     """traced: by Mitsuba; surfels: of dense Gaussians, in seconds, with approximate light."""
     samples: int = 32
-    """Paths per pixel of path-traced truth."""
+    """Paths per pixel of path-traced truth; up to 16 times as many where they leave specks."""
     size: int = 128
     """Edge of the pictures, pixels."""
     rows: int = 12_000
@@ -127,6 +127,8 @@ class LightCase:
     """[W, H, W, 3] display colours of the base colours, without any light."""
     again: np.ndarray = field(repr=False)
     """[W, H, W, 3] the truth with noise of its own."""
+    paths: tuple[int, int] = (0, 0)
+    """Per pixel of the views that the asset is made of, and of the truth."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,10 @@ class LightScore:
     albedo: float | None
     specks: float
     seconds: float
+    asset_paths: int = 0
+    """Per pixel of the views that the asset is made of."""
+    truth_paths: int = 0
+    """Per pixel of the truth."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +177,8 @@ def run(config: LightBench, report: Callable[[str], None] | None = None) -> list
     scores: list[LightScore] = []
     strips: list[Strip] = []
     perceptual = lpips_weights(config.perceptual_weights)
-    for case in cases(config, report):
+    left_out: list[str] = []
+    for case in cases(config, report, left_out):
         lines, pictures = measure_case(case, perceptual)
         scores += lines
         strips += pictures
@@ -183,12 +190,23 @@ def run(config: LightBench, report: Callable[[str], None] | None = None) -> list
         raise ValueError("bench light: none of the objects can be seen; take more objects")
     means = mean_scores(scores)
     write_sheet(config.out / "sheet.png", sheet(strips, CELL_PX, where))
-    tables.write_markdown(config.out / "light.md", means, where, NOTES)
+    tables.write_markdown(config.out / "light.md", means, where, (*NOTES, *_about_truth(scores, left_out)))
     return means
 
 
-def cases(config: LightBench, report: Callable[[str], None] | None = None) -> Iterator[LightCase]:
-    """Objects that cannot be read or seen are left out, with a line to `report`."""
+def _about_truth(scores: Sequence[LightScore], left_out: Sequence[str]) -> tuple[str, ...]:
+    """Lines for the table: how many objects it leaves out and why, how many paths its truths took."""
+    traced = {score.object: max(score.asset_paths, score.truth_paths) for score in scores}
+    counts = [f"{list(traced.values()).count(paths)} with {paths}" for paths in sorted(set(traced.values())) if paths]
+    lines = (f"Objects by paths per pixel: {', '.join(counts)}.",) if counts else ()
+    return (*lines, f"Objects left out: {len(left_out)}{''.join(f'; {line}' for line in left_out)}.")
+
+
+def cases(
+    config: LightBench, report: Callable[[str], None] | None = None, left_out: list[str] | None = None
+) -> Iterator[LightCase]:
+    """Objects that cannot be read or seen, or whose truth cannot judge, are left out: a line of each to `report` and to
+    `left_out`."""
     setup = Setup(
         data=config.meshes,
         environments=config.environments,
@@ -215,6 +233,8 @@ def cases(config: LightBench, report: Callable[[str], None] | None = None) -> It
         try:
             yield from _cases_of(name, drawn_lights(names, name, 2, config.seed), setup, kinds)
         except ValueError as error:
+            if left_out is not None:
+                left_out.append(f"{name}: {error}")
             if report:
                 report(f"{name}: left out, {error}")
             continue
@@ -232,18 +252,21 @@ def _cases_of(name: str, lights: Sequence[str], setup: Setup, kinds: Sequence[As
     relit = truth.under(lights[1])
     rng = generator(setup.seed, "light", name)
     base_cameras, novel = truth.ring(setup.base_views, rng), truth.ring(setup.novel_views, rng)
-    base = truth.render(base_cameras, "base")
-    after, again = relit.render(novel, "novel"), relit.render(novel, "novel again")
+    quiet = quiet_views(relit, novel, "novel")
+    after = quiet.views
     if not after.masks.any():
         raise ValueError("nothing of it can be seen")
-    noise = _speckled(after.images.colors, after.masks)
-    if noise > MAX_TRUTH_SPECKS:
-        raise ValueError(f"{noise:.0%} of its truth are specks: faces that lie on each other, or too few samples")
+    share = _speckled(after.images.colors, after.masks)
+    if share > MAX_TRUTH_SPECKS:
+        raise ValueError(f"{share:.0%} of its truth are specks: fine texture, or faces that lie on each other")
+    # The asset is to have no specks but those of its making.
+    base = quiet_views(truth, base_cameras, "base")
+    paths = (base.samples, quiet.samples) if truth.surfels is None else (0, 0)
     for kind in kinds:
         yield LightCase(
             name,
             kind,
-            build_asset(truth, base, SOURCES[kind]).splats,
+            build_asset(truth, base.views, SOURCES[kind]).splats,
             _coefficients(truth),
             _coefficients(relit),
             tuple(novel),
@@ -251,7 +274,8 @@ def _cases_of(name: str, lights: Sequence[str], setup: Setup, kinds: Sequence[As
             after.masks,
             _surface_of(truth),
             _albedo_of(truth, novel),
-            again.images.colors,
+            quiet.again.images.colors,
+            paths,
         )
 
 
@@ -290,7 +314,7 @@ def measure_case(case: LightCase, perceptual: Any | None = None) -> tuple[list[L
             views = _drawn(edited, case.cameras)
         near = compared(views, case.truth, case.masks, perceptual)["lpips"] if perceptual else None
         figures = psnr(views, case), noiseless_psnr(views, case), near, albedo_psnr(row, case), specks(views, case)
-        line = LightScore(case.name, case.kind, row, *figures, seconds)
+        line = LightScore(case.name, case.kind, row, *figures, seconds, *case.paths)
         lines.append(line)
         strips.append(Strip(f"{row}: {line.psnr:.1f} dB, specks {line.specks:.0f}", _cells(views)))
     return lines, strips
@@ -365,16 +389,16 @@ def specks(views: np.ndarray, case: LightCase) -> float:
     """Pixels in 10,000 of the object's inside."""
     count = total = 0
     for view, truth, mask in zip(views, case.truth, case.masks, strict=True):
-        inside = _eroded(mask)
+        middle = inside(mask)
         step = np.abs(_beyond_median(view)) - np.abs(_beyond_median(truth))
-        count += int((step[inside] > SPECK_STEP).sum())
-        total += int(inside.sum())
+        count += int((step[middle] > SPECK_STEP).sum())
+        total += int(middle.sum())
     return 1e4 * count / max(total, 1)
 
 
 def _speckled(views: np.ndarray, masks: np.ndarray) -> float:
     """Share of pixels inside the object that differ by a speck's step from those around them."""
-    steps = [np.abs(_beyond_median(view))[_eroded(mask)] for view, mask in zip(views, masks, strict=True)]
+    steps = [np.abs(_beyond_median(view))[inside(mask)] for view, mask in zip(views, masks, strict=True)]
     every = np.concatenate(steps)
     return float((every > SPECK_STEP).mean()) if every.size else 0.0
 
@@ -386,13 +410,6 @@ def _beyond_median(view: np.ndarray) -> np.ndarray:
     height, width = light.shape
     around = [padded[y : y + height, x : x + width] for y in range(3) for x in range(3)]
     return light - np.median(around, axis=0)
-
-
-def _eroded(mask: np.ndarray) -> np.ndarray:
-    out = np.pad(mask, 2)
-    for axis in (0, 1):
-        out = out & np.roll(out, 2, axis) & np.roll(out, -2, axis)
-    return out[2:-2, 2:-2]
 
 
 def _best_affine(case: LightCase, views: Sequence[int]) -> Splats:
