@@ -18,12 +18,11 @@ from splatpainter.color import luminance
 
 SPECK_STEP = 0.15
 """Luminance, display units, by which a pixel differs from those around it where it counts as a speck."""
-MAX_NOISE = 0.01
-"""Share of the object's pixels that may differ by a speck's step between two traces. Where noise is normal, either then
-has some 3 specks of its own in 10,000 pixels; coarse assets have 1, and fitted ones more than 20."""
+MAX_NOISE = 0.002
+"""Share of the object's pixels that may differ by a speck's step between two traces. Where noise is normal, neither
+then has a speck of its own in 10,000 pixels; coarse assets have 1."""
 FINER = (1, 4, 16)
-"""Times the paths that were asked for, in turn. Of ten held-out objects at 16 paths six pass at once, the others at
-four times as many."""
+"""Times the paths that were asked for, in turn. Of seven held-out pairs at 16 paths all want 64, two of them 256."""
 
 
 @dataclass(frozen=True)
