@@ -17,6 +17,7 @@ from splatpainter.cameras import Camera, spherical_cameras
 from splatpainter.commands.parts.fit_photographs import (
     PosedPicture,
     first_gaussians,
+    notes_on,
     posed_pictures,
     unsure_turns,
     unused_models,
@@ -24,7 +25,15 @@ from splatpainter.commands.parts.fit_photographs import (
 from splatpainter.image_files import to_uint8
 from splatpainter.metrics import psnr
 from splatpainter.rendering import render
-from tests.support.capture_folders import brown, fisheye, photograph, save_turned, write_colmap, write_table
+from tests.support.capture_folders import (
+    brown,
+    fisheye,
+    photograph,
+    save_turned,
+    write_colmap,
+    write_inria,
+    write_table,
+)
 from tests.support.cli_scenes import Capture, ball, run
 
 SIZE = (96, 72)
@@ -211,3 +220,82 @@ def test_a_colmap_folder_is_fitted(tmp_path: Path, capfd: Capture) -> None:
     assert done.code == 0 and "400 of the 400 points" in done.err
     record = json.loads(done.out)
     assert record["views"] == {"training": 6, "held_out": 2} and record["psnr"]["held_out"] > 14
+
+
+def test_lists_of_cameras_may_be_named_themselves(tmp_path: Path, capfd: Capture) -> None:
+    """Shells complete to the file, not to its folder."""
+    cameras, names = cameras_around(4), [f"{k}.png" for k in range(4)]
+    (tmp_path / "images").mkdir()
+    for camera, name in zip(cameras, names, strict=True):
+        Image.fromarray(to_uint8(drawn(camera))).save(tmp_path / "images" / name)
+    points = np.concatenate([ball(40).means, np.full((40, 3), 180)], 1).astype(np.float64)
+    write_colmap(tmp_path / "sparse" / "0", cameras, names, ending="bin", points=points)
+    write_table(tmp_path, cameras, [f"images/{name}" for name in names])
+    write_inria(tmp_path / "run", cameras, names, f"source_path={str(tmp_path)!r}, images='images'")
+    few = ("--steps", 1, "--rows", 40, "--sh-degree", 0, "--overwrite", "--json")
+    for source, points_used in (
+        ("transforms.json", False),
+        ("run/cameras.json", False),
+        ("sparse/0", True),
+        ("sparse/0/images.bin", True),
+    ):
+        done = run(capfd, "fit", tmp_path / source, "--out", tmp_path / "o.ply", *few)
+        assert done.code == 0 and json.loads(done.out)["source"]["kind"] == "pictures", source
+        assert ("40 of the 40 points" in done.err) is points_used, source
+    for source, expected in (
+        ("transforms.json:2", "leave :2 out"),
+        ("images", f"those of {tmp_path} may be theirs"),
+    ):
+        done = run(capfd, "fit", tmp_path / source, "--out", tmp_path / "o.ply", *few)
+        assert done.code == 2 and expected in done.err, source
+
+
+@pytest.mark.parametrize("lens", ["none", "brown"])
+def test_what_a_mask_has_black_is_not_looked_at(lens: str, tmp_path: Path, capfd: Capture) -> None:
+    """Nerfstudio's mask_path: people, sky, tripods. Masks may be larger than photographs that were made smaller."""
+    cameras, names = cameras_around(8), [f"{k}.png" for k in range(8)]
+    bend, keys = BENT[lens] if lens != "none" else (lambda x, y: (x, y), {})
+    (tmp_path / "images").mkdir()
+    (tmp_path / "masks").mkdir()
+    for camera, name in zip(cameras, names, strict=True):
+        pixels = to_uint8(np.clip(photograph(drawn, camera, bend, field=1.6), 0, 1))
+        pixels[:, :30] = (255, 0, 255)  # a person who walks along in every picture
+        Image.fromarray(pixels).save(tmp_path / "images" / name)
+        marked = np.full((2 * SIZE[1], 2 * SIZE[0]), 255, np.uint8)
+        marked[:, :64] = 0
+        Image.fromarray(marked).save(tmp_path / "masks" / name)
+    table = write_table(tmp_path, cameras, [f"images/{name}" for name in names], **keys)
+    record = json.loads(table.read_text())
+    for entry, name in zip(record["frames"], names, strict=True):
+        entry["mask_path"] = f"masks/{name}"
+    table.write_text(json.dumps(record))
+    for one in posed_pictures(tmp_path, None):
+        assert one.mask is not None and 0.5 < one.mask.mean() < 0.75
+        purple = (one.colors[..., 0] > 0.9) & (one.colors[..., 1] < 0.2) & (one.colors[..., 2] > 0.9)
+        assert purple.mean() > 0.2 and not (purple & one.mask).any()
+    assert "8 of the 8 photographs have a mask" in notes_on(tmp_path)[0]
+    options = ("--steps", 80, "--rows", 300, "--sh-degree", 0, "--json", "--overwrite")
+    done = run(capfd, "fit", tmp_path, "--out", tmp_path / "o.ply", *options).json
+    assert done["psnr"]["held_out"] > 17 and done["psnr"]["training"] > 17
+    (tmp_path / "masks" / "3.png").unlink()
+    done = run(capfd, "fit", tmp_path, "--out", tmp_path / "o.ply", *options)
+    assert done.code == 2 and "masks/3.png is not there" in done.err
+
+
+def test_exposures_that_the_trainer_found_are_taken_out(tmp_path: Path) -> None:
+    cameras = [replace(camera, cx=SIZE[0] / 2, cy=SIZE[1] / 2) for camera in cameras_around()]  # of cameras.json
+    names = ["a.png", "b.png", "c.png"]
+    rng = np.random.default_rng(2)
+    exposures = {}
+    for camera, name in zip(cameras, names, strict=True):
+        mixing, shift = np.eye(3) * 0.8 + rng.normal(0, 0.05, (3, 3)), rng.uniform(0.02, 0.1, 3)
+        exposures[name[:1]] = np.concatenate([mixing, shift[:, None]], 1).tolist()
+        Image.fromarray(to_uint8(np.clip(drawn(camera) @ mixing + shift, 0, 1))).save(tmp_path / name)
+    write_inria(tmp_path, cameras, [name[:1] for name in names])
+    assert nearness(posed_pictures(tmp_path, None)) < 25 and not notes_on(tmp_path)
+    (tmp_path / "exposure.json").write_text(json.dumps(exposures))
+    assert nearness(posed_pictures(tmp_path, None)) > 40
+    assert "exposure of 3 of the 3 photographs" in notes_on(tmp_path / "cameras.json")[0]
+    (tmp_path / "exposure.json").write_text(json.dumps({**exposures, "b": np.zeros((3, 4)).tolist()}))
+    with pytest.raises(ValueError, match=r"exposure\.json: b: expected an exposure that keeps colours apart"):
+        posed_pictures(tmp_path, None)

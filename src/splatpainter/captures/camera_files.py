@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+
 from splatpainter.captures import colmap, inria, nerfstudio
 from splatpainter.captures.captured_view import CapturedView
 from splatpainter.captures.nerfstudio import MAX_TABLE_BYTES, TABLES, splat_frame
@@ -19,6 +21,7 @@ from splatpainter.system.jsonio import load_document
 
 MAX_NAMES_LISTED = 3
 """Pictures of a capture that an error names."""
+_BLANKS = b"\xef\xbb\xbf \t\r\n"
 FRAME_LEVELS = 3
 """Folders above an asset in which its dataparser_transforms.json is looked for: exports/splat/splat.ply."""
 
@@ -79,6 +82,14 @@ def captured_views(path: Path, asset: Path | None = None) -> list[CapturedView]:
     if not views:
         raise ValueError(f"{capture}: expected cameras, it lists none")
     return views
+
+
+def exposures_of(path: Path) -> dict[str, np.ndarray]:
+    """inria.read_exposures beside the cameras.json that a capture's cameras are from; {} of other captures."""
+    capture = _capture_file(path)
+    if capture is None or os.path.isdir(capture) or files.read_head(capture, 64).lstrip(_BLANKS)[:1] != b"[":
+        return {}
+    return inria.read_exposures(capture.parent / inria.EXPOSURES)
 
 
 def named_views(path: Path, asset: Path | None = None, picture: Path | None = None) -> list[CapturedView]:
@@ -167,7 +178,7 @@ def _capture_file(path: Path) -> Path | None:
     if path.name in colmap.MODEL_FILES:
         return colmap.model_folder(path)
     # The first bytes tell JSON from anything else before a large file is read whole.
-    first = files.read_head(path, 64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
+    first = files.read_head(path, 64).lstrip(_BLANKS)[:1]
     # A list is one of cameras: nothing of splatpainter's begins so, and reading it says what is wrong with it.
     if first == b"[":
         return path

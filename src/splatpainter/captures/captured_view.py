@@ -22,6 +22,8 @@ ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif"
 _SUFFIXES = frozenset(map(str.lower, ENDINGS))
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where ns-process-data and INRIA's convert.py put photographs, and smaller copies of them."""
+MASK_FOLDERS = ("masks", "masks_2", "masks_4", "masks_8")
+"""Where nerfstudio's masks and smaller copies of them are."""
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's cameras look along -z with y up."""
 
@@ -38,6 +40,8 @@ class CapturedView:
     """What bends the photograph's lines besides; None: nothing, it is as `camera` says."""
     folders: tuple[Path, ...] = field(default=(), repr=False)
     """Where the photograph may lie; `name` is relative to these."""
+    mask: str = ""
+    """The picture of its pixels that are to be looked at, as the file names it; "": all are."""
 
     def pinhole(self, *, all_of_it: bool) -> Camera:
         """The camera of the photograph without its lens (lenses.pinhole_window)."""
@@ -56,6 +60,10 @@ class CapturedView:
         name = PurePosixPath(self.name.replace("\\", "/"))
         alike = (inside(folder / name.parent, name.name) for folder in self.folders)
         return next((path for path in alike if os.path.isfile(path)), None)
+
+    def mask_picture(self) -> Path | None:
+        """The file of the mask, or a smaller copy of it; None where neither is there."""
+        return replace(self, name=self.mask).picture()
 
     def _candidates(self) -> Iterator[Path]:
         if not self.name:
@@ -76,7 +84,7 @@ class CapturedView:
         # Then smaller copies beside: trainers keep them, and originals are often gone.
         for folder in self.folders:
             data = folder.parent if folder.name in (*PICTURE_FOLDERS, "input") else folder
-            for copies in PICTURE_FOLDERS:
+            for copies in MASK_FOLDERS if name.parent.name in MASK_FOLDERS else PICTURE_FOLDERS:
                 for ending in ENDINGS:
                     yield data / copies / (name.name + ending)
 

@@ -11,13 +11,19 @@ import numpy as np
 
 from splatpainter.captures.captured_view import CapturedView, posed_camera, rigid
 from splatpainter.io import files
-from splatpainter.system.jsonio import brief, finite_numbers
+from splatpainter.kernels.portable import determinant
+from splatpainter.system.jsonio import brief, finite_numbers, load_object
 from splatpainter.system.quick_dataclass import dataclass
 
 CAMERAS = "cameras.json"
 ARGUMENTS = "cfg_args"
+EXPOSURES = "exposure.json"
 MAX_ARGUMENT_BYTES = 1 << 16
 """Of cfg_args; it is one line."""
+MAX_EXPOSURE_BYTES = 64 << 20
+"""Of exposure.json: 300 bytes a photograph."""
+MIN_EXPOSURE = 1e-3
+"""Least determinant of an exposure's colours that is undone: a tenth in each channel."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,28 @@ def read_cameras(path: Path, entries: list[Any]) -> list[CapturedView]:
         folders = [source / name for source in sources for name in names]
     background = (1.0, 1.0, 1.0) if arguments.white else (0.0, 0.0, 0.0)
     return [_view(f"{path}: camera {k}", entry, tuple(folders), background) for k, entry in enumerate(entries)]
+
+
+def read_exposures(path: Path) -> dict[str, np.ndarray]:
+    """Photograph -> [3, 4] e of an exposure.json, as the trainer writes it beside cameras.json: colours of the
+    photograph are the asset's @ e[:, :3] + e[:, 3]. {} where there is none; those that change nothing are left out.
+    Raises ValueError naming the entry: no 3x4 matrix of finite numbers, one that cannot be undone."""
+    if not path.is_file():
+        return {}
+    record = load_object(files.read_all(path), path, "the photographs' exposures", MAX_EXPOSURE_BYTES)
+    out: dict[str, np.ndarray] = {}
+    for name, value in record.items():
+        where = f"{path}: {files.printable(name, 60)}"
+        listed = isinstance(value, list) and len(value) == 3 and all(isinstance(row, list) for row in value)
+        rows = [finite_numbers(row, where, "a row") for row in value] if listed else []
+        if {len(row) for row in rows} != {4}:
+            raise ValueError(f"{where}: expected a 3x4 matrix of its exposure, got {brief(value)}")
+        exposure = np.array(rows, np.float64)
+        if not determinant(exposure[:, :3]) > MIN_EXPOSURE:
+            raise ValueError(f"{where}: expected an exposure that keeps colours apart, got {brief(value)}")
+        if not np.array_equal(exposure, np.eye(3, 4)):
+            out[name] = exposure
+    return out
 
 
 def _view(where: str, entry: Any, folders: tuple[Path, ...], background: tuple[float, float, float]) -> CapturedView:

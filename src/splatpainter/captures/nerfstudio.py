@@ -102,11 +102,14 @@ def _view(where: str, record: dict[str, Any], folder: Path) -> CapturedView:
     if not isinstance(name, str) or not name:
         raise ValueError(f"{where}: has no file_path")
     where = f"{where} ({files.printable(name, 60)})"
+    mask = record.get("mask_path") or ""
+    if not isinstance(mask, str):
+        raise ValueError(f"{where}: expected the name of a picture as mask_path, got {brief(mask)}")
     if "transform_matrix" not in record:
         raise ValueError(f"{where}: has no transform_matrix")
     # The size may only be known from the picture, so the lens and the picture's place come first.
     pose = _matrix(record["transform_matrix"], f"{where}: transform_matrix", rotation=False)
-    view = CapturedView(name, UNKNOWN_SIZE, _lens(where, record), (folder,))
+    view = CapturedView(name, UNKNOWN_SIZE, _lens(where, record), (folder,), mask)
     width, height = _size(where, record, view)
     focals = _focals(where, record, width, height)
     cx, cy = (_number(where, record, key, side / 2) for key, side in (("cx", width), ("cy", height)))

@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -19,6 +19,7 @@ from splatpainter.system.quick_dataclass import dataclass
 
 if TYPE_CHECKING:
     from splatpainter.commands.parts.fit_sources import FitPictures
+    from splatpainter.fit.optimize import TrainingView
     from splatpainter.splats import Splats
 
 LIMITS: dict[str, tuple[int, int]] = {
@@ -42,7 +43,8 @@ class Config:
 
     SOURCE is a mesh (GLB, glTF, OBJ; rendered from all around), a splat file (fitted anew to its own renders), or a
     folder of pictures that carry their camera (as `splatpainter render` writes them) or have a NeRF-style
-    transforms.json, COLMAP's sparse/0 or INRIA's cameras.json. Lens distortion is taken out.
+    transforms.json, COLMAP's sparse/0 or INRIA's cameras.json; or one of these lists by its name. Lens distortion is
+    taken out, what mask_path has black is not looked at, and INRIA's exposure.json is undone.
 
     example:
       splatpainter fit chair.glb --out chair.ply --steps 2000
@@ -112,7 +114,7 @@ def run(config: Config) -> Outcome:
         # The fit was made near the origin; the offset puts it back where the pictures' world is.
         write(partial, replace(fitted, offset=pictures.offset))
     # Training views show whether it converged, held-out ones whether that is worth anything.
-    training = _psnr(fitted, list(zip(pictures.cameras, pictures.colors, strict=True)))
+    training = _psnr(fitted, pictures.views)
     held_out = _psnr(fitted, pictures.held_out) if pictures.held_out else None
     timings = {"pictures": prepared, "fit": fitting}
     record = {
@@ -125,7 +127,7 @@ def run(config: Config) -> Outcome:
             "first_rows": len(start),
         },
         "steps": config.steps,
-        "views": {"training": len(pictures.cameras), "held_out": len(pictures.held_out)},
+        "views": {"training": len(pictures.views), "held_out": len(pictures.held_out)},
         "psnr": {"training": training, "held_out": held_out},
         "seconds": timings,
     }
@@ -135,7 +137,7 @@ def run(config: Config) -> Outcome:
     lines = [
         f"{config.source} -> {config.out}",
         f"{count(len(fitted), 'Gaussian')} from {len(start):,}; {size(record['output']['bytes'])}",
-        f"{summary} ({len(pictures.cameras)} and {len(pictures.held_out)} views)",
+        f"{summary} ({len(pictures.views)} and {len(pictures.held_out)} views)",
         seconds(timings),
     ]
     return Outcome(record, lines)
@@ -144,7 +146,7 @@ def run(config: Config) -> Outcome:
 def _fitted(config: Config, pictures: FitPictures) -> Splats:
     from tqdm import tqdm
 
-    from splatpainter.fit.optimize import FitOptions, TrainingView, optimize
+    from splatpainter.fit.optimize import FitOptions, optimize
 
     # Densification is what makes the number of Gaussians unforeseen, so it can be left out.
     options = FitOptions(
@@ -154,22 +156,22 @@ def _fitted(config: Config, pictures: FitPictures) -> Splats:
         most_gaussians=config.most_rows,
         device=config.device,
     )
-    views = [TrainingView(camera, color) for camera, color in zip(pictures.cameras, pictures.colors, strict=True)]
     # The bar appears only where a person looks and after some seconds.
     with tqdm(
         total=config.steps, desc="fitting", delay=BAR_DELAY_SECONDS, leave=False, file=sys.stderr, disable=not watched()
     ) as bar:
-        return optimize(pictures.start, views, options, watch=lambda step, _: bar.update(step - bar.n)).splats
+        return optimize(pictures.start, pictures.views, options, watch=lambda step, _: bar.update(step - bar.n)).splats
 
 
-def _psnr(splats: Splats, pictures: list[Any]) -> float:
-    """Mean over (camera, [H, W, 3] picture) pairs, dB."""
+def _psnr(splats: Splats, views: list[TrainingView]) -> float:
+    """Mean over views, each where it is looked at, dB."""
     import numpy as np
 
     from splatpainter.metrics import psnr
     from splatpainter.rendering import render
 
-    return float(np.mean([psnr(np.clip(render(splats, c).colors[0], 0, 1), color) for c, color in pictures]))
+    drawn = (np.clip(render(splats, view.camera).colors[0], 0, 1) for view in views)
+    return float(np.mean([psnr(colors, view.color, view.mask) for colors, view in zip(drawn, views, strict=True)]))
 
 
 def _check(config: Config) -> None:

@@ -204,7 +204,7 @@ def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) ->
     if picture.size != (used.camera.width, used.camera.height):
         size_used = f"{used.camera.width}x{used.camera.height}"
         notes.append(f"used at {size_used} of its {picture.size[0]}x{picture.size[1]} pixels")
-    marked = None if mask is None else _mask(mask, turn, used)
+    marked = None if mask is None else photograph_mask(mask, (turn, 1), used, all_of_it=True)
     if taken is not None:
         # The original with the loss of the painted file: what still differs is paint.
         taken = _saved_again(taken, picture, path, turn)
@@ -269,16 +269,16 @@ def _saved_again(taken: Picture, picture: Picture, path: Path, turn: int) -> Pic
     return lossy if after < before else taken
 
 
-def _mask(path: Path, turn: int, view: CapturedView) -> np.ndarray:
-    """[H, W] bool of a mask that was painted on the photograph."""
+def photograph_mask(path: Path, turns: Sequence[int], view: CapturedView, *, all_of_it: bool) -> np.ndarray:
+    """[H, W] bool of a mask of the photograph's pixels, straightened as it is. turns: EXIF orientations that may have
+    to be taken back; the first by which it has the photograph's shape is. Raises ValueError: none, or it is empty."""
     marked = read_mask(path).astype(np.float32)
     size = view.camera.width, view.camera.height
-    as_stored = unturned(Picture(np.repeat(marked[..., None], 3, 2), None), turn)
-    if not has_aspect(as_stored.size, size):
-        as_stored = Picture(np.repeat(marked[..., None], 3, 2), None)
-    if not has_aspect(as_stored.size, size):
+    ways = (unturned(Picture(np.repeat(marked[..., None], 3, 2), None), turn) for turn in turns)
+    as_stored = next((way for way in ways if has_aspect(way.size, size)), None)
+    if as_stored is None:
         raise ValueError(f"{path}: expected the mask to have the shape of its photograph, {size[0]}x{size[1]}")
-    straight = straight_picture(as_stored, view, all_of_it=True)
+    straight = straight_picture(as_stored, view, all_of_it=all_of_it)
     out = straight.colors[..., 0] > MIN_MASK
     if straight.alpha is not None:
         out &= straight.alpha > PHOTOGRAPHS.min_solid

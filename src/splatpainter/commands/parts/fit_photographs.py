@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from splatpainter.cameras import Camera
-from splatpainter.captures import CapturedView, captured_views, is_capture
-from splatpainter.captures.colmap import model_folder, other_models, photographs_of, read_points
+from splatpainter.captures import CapturedView, captured_views, exposures_of, is_capture
+from splatpainter.captures.colmap import MODEL_FILES, model_folder, other_models, photographs_of, read_points
+from splatpainter.captures.inria import EXPOSURES
 from splatpainter.captures.nerfstudio import TABLES
-from splatpainter.gatekeeper.photographs import read_photograph, straight_picture
+from splatpainter.gatekeeper.photographs import carries_camera, photograph_mask, read_photograph, straight_picture
 from splatpainter.image_files import find_camera, picture_header
 from splatpainter.io.folders import inside
 from splatpainter.io.foreign_captures import foreign_capture
 from splatpainter.io.positions import NO_OFFSET, Offset, float32_step
+from splatpainter.kernels.portable import inverse, matmul
 from splatpainter.pictures.edit_files import has_aspect
 from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.splats import Splats
@@ -50,17 +52,22 @@ class PosedPicture:
     """[H, W, 3] float32 0..1."""
     solid: np.ndarray = field(repr=False)
     """[H, W] bool where something may be."""
+    mask: np.ndarray | None = field(default=None, repr=False)
+    """[H, W] bool of the pixels that are looked at; None: all."""
 
 
 def posed_pictures(folder: Path, size: int | None) -> list[PosedPicture]:
-    """The pictures of a folder that have cameras, in the order of their names or of their table. size: pixels of the
-    longer side; None: as they are. Raises ValueError, one line naming file and key."""
+    """The pictures of a folder that have cameras, or of a capture's list of cameras, in the order of their names or of
+    their table. size: pixels of the longer side; None: as they are. Raises ValueError, one line naming file and key."""
     if is_capture(folder):
-        views = captured_views(folder)
+        views, exposures = captured_views(folder), exposures_of(folder)
         paths = [_checked(view) for view in views]  # before the first is decoded
         turned = _turned_shapes(paths, views)[0]
         return over_common_color(
-            [_photograph(path, view, size, k, turned) for k, (path, view) in enumerate(zip(paths, views, strict=True))]
+            [
+                _photograph(path, view, size, k, turned, exposures.get(view.name))
+                for k, (path, view) in enumerate(zip(paths, views, strict=True))
+            ]
         )
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in PICTURES and path.is_file()]
     if not paths:
@@ -70,6 +77,9 @@ def posed_pictures(folder: Path, size: int | None) -> list[PosedPicture]:
             f"{folder}: {what}expected pictures with cameras, {' or '.join(TABLES)}, or COLMAP's sparse/0; found "
             "neither"
         )
+    above = folder.absolute().parent
+    if is_capture(above) and not carries_camera(paths[0]):
+        raise ValueError(f"{folder}: its pictures have no cameras; those of {above} may be theirs: name that folder")
     return [_picture(path, find_camera(path), size, k) for k, path in enumerate(paths)]
 
 
@@ -79,10 +89,9 @@ def over_common_color(pictures: list[PosedPicture]) -> list[PosedPicture]:
     # Transparent pictures stand over black and white in turn already.
     if len({picture.camera.background for picture in pictures}) > 1:
         return pictures
-    edges = [
-        np.concatenate([part.reshape(-1, 3) for part in (seen[0], seen[-1], seen[:, 0], seen[:, -1])])
-        for seen in (picture.colors for picture in pictures)
-    ]
+    edges = [_edge(picture) for picture in pictures]
+    if not all(map(len, edges)):
+        return pictures
     common = np.median(np.concatenate(edges), axis=0)
     shares = [float((np.abs(edge - common).max(1) <= SAME_COLOR).mean()) for edge in edges]
     # An object may reach over the edge of a picture, but no photograph of a room has one colour along its edges.
@@ -90,13 +99,20 @@ def over_common_color(pictures: list[PosedPicture]) -> list[PosedPicture]:
         return pictures
     background = common[0].item(), common[1].item(), common[2].item()
     return [
-        PosedPicture(
-            replace(picture.camera, background=background),
-            picture.colors,
-            np.abs(picture.colors - common).max(-1) > SAME_COLOR,
+        replace(
+            picture,
+            camera=replace(picture.camera, background=background),
+            solid=np.abs(picture.colors - common).max(-1) > SAME_COLOR,
         )
         for picture in pictures
     ]
+
+
+def _edge(picture: PosedPicture) -> np.ndarray:
+    """[P, 3] colours along a picture's edge that are looked at."""
+    seen = np.ones(picture.colors.shape[:2], bool) if picture.mask is None else picture.mask
+    sides = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
+    return np.concatenate([picture.colors[side][seen[side]] for side in sides])
 
 
 def near_zero(pictures: list[PosedPicture]) -> tuple[list[PosedPicture], Offset]:
@@ -125,6 +141,8 @@ def _checked(view: CapturedView) -> Path:
     expected = view.camera.width, view.camera.height
     if not has_aspect((height, width), expected):  # EXIF may still turn it
         _check_shape(path, (width, height), expected)
+    if view.mask and view.mask_picture() is None:
+        raise ValueError(f"{path}: its mask {view.mask} is not there; expected it, or frames without mask_path")
     return path
 
 
@@ -156,9 +174,22 @@ def unsure_turns(folder: Path) -> list[str]:
     return [text] if unsure else []
 
 
-def _photograph(path: Path, view: CapturedView, size: int | None, k: int, turned: bool) -> PosedPicture:
+def notes_on(folder: Path) -> list[str]:
+    """Lines on what a capture says of its photographs besides their cameras, and what is done with it."""
+    if not is_capture(folder):
+        return []
+    views, exposures = captured_views(folder), exposures_of(folder)
+    masked, exposed = sum(bool(view.mask) for view in views), sum(view.name in exposures for view in views)
+    notes = [f"{masked:,} of the {len(views):,} photographs have a mask: what it has black is not looked at"]
+    undone = f"{EXPOSURES} tells the exposure of {exposed:,} of the {len(views):,} photographs, which is taken out"
+    return [*(notes if masked else []), *([undone] if exposed else [])]
+
+
+def _photograph(
+    path: Path, view: CapturedView, size: int | None, k: int, turned: bool, exposure: np.ndarray | None
+) -> PosedPicture:
     """Photograph k of a capture, as large as it is there, without its lens's distortion. turned: whether its camera is
-    of it as EXIF turns it, where its shape fits so."""
+    of it as EXIF turns it, where its shape fits so. exposure: [3, 4] of inria.read_exposures, which is taken out."""
     expected = view.camera.width, view.camera.height
     picture = read_photograph(path, expected, turned)
     _check_shape(path, picture.size, expected)
@@ -166,8 +197,15 @@ def _photograph(path: Path, view: CapturedView, size: int | None, k: int, turned
     if size is not None:
         view = replace(view, camera=view.camera.with_longest_side(size))
     straight = straight_picture(picture, view, all_of_it=False)
-    alpha = straight.alpha if picture.alpha is not None else None
-    return _posed(straight.camera, Picture(straight.colors, alpha), k)
+    alpha, colors = straight.alpha if picture.alpha is not None else None, straight.colors
+    if exposure is not None:
+        colors = np.clip(matmul(colors - exposure[:, 3], inverse(exposure[:, :3])), 0, 1).astype(np.float32)
+    posed = _posed(straight.camera, Picture(colors, alpha), k)
+    masked = view.mask_picture() if view.mask else None
+    if masked is None:
+        return posed
+    mask = photograph_mask(masked, (1, picture_header(path)[1]), view, all_of_it=False)
+    return replace(posed, mask=None if mask.all() else mask)
 
 
 def _picture(path: Path, camera: Camera, size: int | None, k: int) -> PosedPicture:
@@ -234,7 +272,8 @@ def unused_models(folder: Path) -> list[str]:
 
 def _model_of(folder: Path) -> Path | None:
     """COLMAP's model whose cameras a folder's pictures have; None where a table has them."""
-    uses_table = any(inside(folder, name).is_file() for name in TABLES)
+    named = not folder.is_dir() and folder.name not in MODEL_FILES
+    uses_table = named or any(inside(folder, name).is_file() for name in TABLES)
     return None if uses_table else model_folder(folder)
 
 
@@ -255,6 +294,8 @@ def _carved(pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int) 
             pixels, z = camera.project(points)
             x, y = np.floor(np.where(z[:, None] > 1e-3, pixels, -1)).astype(np.int64).T
             seen = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+            if picture.mask is not None:
+                seen[seen] = picture.mask[y[seen], x[seen]]
             good[seen] &= picture.solid[y[seen], x[seen]]
             total[seen] += picture.colors[y[seen], x[seen]]
             count[seen] += 1

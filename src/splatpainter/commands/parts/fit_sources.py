@@ -13,14 +13,17 @@ from typing import Any, Literal
 import numpy as np
 
 from splatpainter.cameras import AUTO_UP, FRAME_MARGIN, UPS, Camera, bounding_sphere, spherical_cameras
+from splatpainter.captures import is_capture, split_selector
 from splatpainter.commands.parts.fit_photographs import (
     BACKGROUNDS,
     first_gaussians,
     near_zero,
+    notes_on,
     posed_pictures,
     unsure_turns,
     unused_models,
 )
+from splatpainter.fit.optimize import TrainingView
 from splatpainter.io import files, read
 from splatpainter.io.folders import inside, trained_file
 from splatpainter.io.formats.sog_container import META
@@ -56,12 +59,10 @@ class FitPictures:
     """Pictures to fit and to judge by, and first Gaussians."""
 
     kind: Literal["mesh", "asset", "pictures"]
-    cameras: list[Camera]
-    colors: list[np.ndarray] = field(repr=False)
-    """Each [H, W, 3] float32 0..1."""
-    held_out: list[tuple[Camera, np.ndarray]] = field(repr=False)
+    views: list[TrainingView] = field(repr=False)
+    held_out: list[TrainingView] = field(repr=False)
     start: Splats = field(repr=False)
-    """Its means, and the cameras, are relative to `offset`."""
+    """Its means, and the views' cameras, are relative to `offset`."""
     offset: Offset = NO_OFFSET
     """World coordinates, float64 (Splats.offset); not zero where float32 cannot hold those of the source."""
     notes: list[str] = field(default_factory=list)
@@ -70,8 +71,12 @@ class FitPictures:
 def fit_pictures(source: Path, settings: FitPictureSettings) -> FitPictures:
     """Everything that a fit needs. Raises ValueError, in one line: nothing there, or nothing that can be used."""
     if not source.exists():
+        capture, selector = split_selector(source)
+        if selector and is_capture(capture):
+            raise ValueError(f"{source}: all photographs of a capture are fitted to; leave :{selector[:40]} out")
         raise ValueError(f"{source}: no such file or folder; expected a mesh, a splat file or a folder of pictures")
-    if source.is_dir() and not inside(source, META).is_file() and trained_file(source) is None:
+    is_folder = source.is_dir() and not inside(source, META).is_file() and trained_file(source) is None
+    if is_folder or (source.is_file() and is_capture(source)):
         return _from_pictures(source, settings)
     return _from_mesh(source, settings) if is_mesh(source) else _from_asset(source, settings)
 
@@ -139,7 +144,8 @@ def rendered_pictures(
         [replace(c, world_to_camera=c.world_to_camera @ frame) for c in some] for some in (cameras, held_out)
     )
     start = from_depths(cameras, colors, depths, alphas, settings.rows, settings.seed, settings.sh_degree, opacity=0.5)
-    return FitPictures(kind, cameras, list(colors), list(zip(held_out, unseen, strict=True)), start)
+    views, unseen_views = [*map(TrainingView, cameras, colors)], [*map(TrainingView, held_out, unseen)]
+    return FitPictures(kind, views, unseen_views, start)
 
 
 # Pictures
@@ -152,9 +158,10 @@ def _from_pictures(folder: Path, settings: FitPictureSettings) -> FitPictures:
     count = min(settings.held_out, len(posed) // 4)
     apart = np.linspace(0, len(posed) - 1, count + 2)[1:-1].round().astype(int).tolist() if count else []
     rest = [picture for k, picture in enumerate(posed) if k not in apart]
-    held_out = [(posed[k].camera, posed[k].colors) for k in dict.fromkeys(apart)]
     start, note = first_gaussians(folder, rest, settings.rows, settings.sh_degree, settings.seed, offset)
-    cameras, colors = [picture.camera for picture in rest], [picture.colors for picture in rest]
-    return FitPictures(
-        "pictures", cameras, colors, held_out, start, offset, [note, *unused_models(folder), *unsure_turns(folder)]
+    views, held_out = (
+        [TrainingView(picture.camera, picture.colors, mask=picture.mask) for picture in some]
+        for some in (rest, [posed[k] for k in dict.fromkeys(apart)])
     )
+    notes = [note, *unused_models(folder), *unsure_turns(folder), *notes_on(folder)]
+    return FitPictures("pictures", views, held_out, start, offset, notes)
