@@ -383,6 +383,37 @@ def test_a_photograph_that_exif_turns(exif_stays: bool, tmp_path: Path, capfd: C
     assert inside > 200 and outside == 0
 
 
+@pytest.mark.parametrize("mode", ["local", "global"])
+@pytest.mark.parametrize("original", ["none", "as seen", "turned"])
+def test_a_photograph_that_is_upside_down_is_turned(original: str, mode: str, tmp_path: Path, capfd: Capture) -> None:
+    """No shape and no EXIF tells a half turn: the photograph as it was taken does, or the asset. "turned": a program
+    turned the capture's photographs before it looked for their cameras."""
+    folder = model(tmp_path / "garden", "source_path='/somewhere/data'")
+    images = tmp_path / "data" / "images"
+    pixels = taken_with(images)[0]
+    if original == "turned":
+        save_turned(images / NAMES[0], np.ascontiguousarray(pixels[::-1, ::-1]), 3)
+        pixels = np.asarray(Image.open(images / NAMES[0]))[::-1, ::-1]
+    picture = painted(pixels) if mode == "local" else (pixels * np.array([0.8, 0.9, 1.0])).astype(np.uint8)
+    saved = picture if original == "turned" else np.ascontiguousarray(picture[::-1, ::-1])
+    Image.fromarray(saved).save(tmp_path / "IMG_1.png")
+    if original == "none":
+        shutil.rmtree(images)
+    words = ("edit", folder, tmp_path / "IMG_1.png", "--mode", mode, "--method", "lift", "--json")
+    done = run(capfd, *words, "--out", tmp_path / "new.ply")
+    assert done.code == 0, done.err
+    turned = [note for note in done.json["notes"] if "turned by 180 degrees" in note]
+    assert len(turned) == 1 and ("as the photograph was taken" in turned[0]) == (original == "as seen")
+    camera = cameras_around()[0]
+    if mode == "local":
+        inside, outside = reached(last(folder), tmp_path / "new.ply", camera)
+        assert inside > 200 and outside == 0
+    elif original != "none":
+        before, after = (np.clip(render(read(p), camera).colors[0], 0, 1) for p in (last(folder), tmp_path / "new.ply"))
+        seen = before.max(-1) > 0.2
+        assert abs(after[seen].mean(0) / before[seen].mean(0) - [0.8, 0.9, 1.0]).max() < 0.05
+
+
 def test_a_regraded_photograph_is_a_look_of_its_change_alone(tmp_path: Path, capfd: Capture) -> None:
     """Twice as blue as the photograph was: that, and not the photograph's own exposure, becomes the asset's."""
     folder = model(tmp_path / "garden", "source_path='/somewhere/data'")

@@ -12,8 +12,10 @@ than a photograph does. Exposure and place are taken back by the gatekeeper.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,6 +49,11 @@ class PhotographThresholds:
     ones down to that."""
     compared_px: int = 256
     """Longer side of pictures whose turns are told apart."""
+    max_turned_distance: float = 0.5
+    """A photograph counts as turned upside down by hand where it is then nearer to itself as it was taken by this
+    factor."""
+    min_turned_likeness: float = 0.15
+    """It counts as upside down where its correlation with the asset's render is higher by this once it is turned."""
     min_solid: float = 0.5
     """Alpha from which a pixel of a straightened photograph is one."""
     blur_px: int = 3
@@ -71,6 +78,10 @@ class PhotographThresholds:
 
 
 PHOTOGRAPHS = PhotographThresholds()
+HALF_TURN = 3
+"""EXIF's orientation of 180 degrees."""
+_HALF_TURNED = {1: 3, 2: 4, 3: 1, 4: 2, 5: 7, 6: 8, 7: 5, 8: 6}
+"""Orientation -> the one that is as if the picture had been turned by 180 degrees besides."""
 
 
 @dataclass(frozen=True)
@@ -177,9 +188,11 @@ def carries_camera(picture: Path) -> bool:
     return True
 
 
-def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) -> PictureFile:
+def photograph_edit(
+    path: Path, view: CapturedView, mask: Path | None = None, *, half_turn: bool = False
+) -> PictureFile:
     """A painted photograph, straightened, at most of PHOTOGRAPHS.max_photograph_px. mask: a picture of the photograph's
-    pixels.
+    pixels. half_turn: the camera is of it turned by 180 degrees, which no shape tells.
 
     Raises ValueError, one line naming the file: unreadable, of another shape than its camera, an empty mask."""
     size = view.camera.width, view.camera.height
@@ -192,12 +205,20 @@ def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) ->
         taken = None
     # Which way round the program saved it.
     picture, turn = _as_taken(path, size, taken, 1 if original is None else _orientation(original))
+    by_hand = turn not in (1, _orientation(path), 1 if original is None else _orientation(original))
+    if half_turn:
+        picture, turn = turned(picture, HALF_TURN), _HALF_TURNED[turn]
+        taken = None if taken is None else turned(taken, HALF_TURN)
     # Straightened at the size that is used, not at the file's: a phone's picture has 50 million pixels.
     window = view.resized(*picture.size).pinhole(all_of_it=True)
     scale = min(1.0, PHOTOGRAPHS.max_photograph_px / max(window.width, window.height))
     used = view.resized(*(max(1, round(side * scale)) for side in picture.size))
     straight = straight_picture(picture, used, all_of_it=True)
     notes = list(picture.notes)
+    if by_hand and not half_turn:
+        notes.append("turned by 180 degrees, as the photograph was taken")
+    if half_turn:
+        notes.append("turned by 180 degrees: only so it fits the asset seen from its camera")
     if view.lens is not None:
         notes.append("its lens's distortion was taken out")
     camera = straight.camera
@@ -209,7 +230,8 @@ def photograph_edit(path: Path, view: CapturedView, mask: Path | None = None) ->
         # The original with the loss of the painted file: what still differs is paint.
         taken = _saved_again(taken, picture, path, turn)
     before = None if taken is None else straight_picture(taken, used, all_of_it=True).colors
-    photograph = Photograph(before, None if before is None else original)
+    other = None if half_turn else partial(photograph_edit, path, view, mask, half_turn=True)
+    photograph = Photograph(before, None if before is None else original, other)
     fitted = Picture(straight.colors, straight.alpha)
     return PictureFile(path, fitted, picture.size, camera, marked, tuple(notes), photograph=photograph)
 
@@ -230,18 +252,26 @@ def _as_taken(path: Path, size: tuple[int, int], taken: Picture | None, orientat
     turns = dict.fromkeys((_orientation(path), 1, orientation))
     ways = [(unturned(picture, turn), turn) for turn in turns]
     ways = [way for way in ways if has_aspect(way[0].size, size)]
+    by_hand = [_HALF_TURNED[turn] for _, turn in ways if _HALF_TURNED[turn] not in turns]
     if not ways:
         width, height = picture.size
         raise ValueError(
             f"{path}: expected the aspect ratio of its camera ({size[0]}x{size[1]}), got {width}x{height}; "
             "resize without cropping"
         )
-    if taken is None or len(ways) == 1:
+    if taken is None:
         return ways[0]
     # At this size a turn is plain and paint is not.
     small = [max(1, round(side * PHOTOGRAPHS.compared_px / max(size))) for side in size]
     like = taken.resized(*small).colors
-    return min(ways, key=lambda way: float(np.abs(way[0].resized(*small).colors - like).mean()))
+
+    def distance(way: tuple[Picture, int]) -> float:
+        return float(np.abs(way[0].resized(*small).colors - like).mean())
+
+    best = min(ways, key=distance)
+    # Nobody said that it was turned upside down by hand: only where that is beyond doubt.
+    upright = min(((unturned(picture, turn), turn) for turn in by_hand), key=distance, default=best)
+    return upright if distance(upright) < PHOTOGRAPHS.max_turned_distance * distance(best) else best
 
 
 def _saved_again(taken: Picture, picture: Picture, path: Path, turn: int) -> Picture:
@@ -309,6 +339,10 @@ def laid_over(
     render, cover = np.clip(to_display(drawn.colors[0], space), 0, 1).astype(np.float32), drawn.alphas[0, ..., 0]
     colors, taken = edit.picture.colors, photograph.taken
     solid = np.ones(cover.shape, bool) if edit.picture.alpha is None else edit.picture.alpha > PHOTOGRAPHS.min_solid
+    if photograph.half_turned is not None and _is_upside_down(
+        colors if taken is None else taken, render, solid & (cover > PHOTOGRAPHS.min_solid)
+    ):
+        return laid_over(photograph.half_turned(), splats, mode, strictness)
     # The file's name may be a photograph's while its pixels are a render's.
     if taken is not None and _nearer(colors, render, taken, solid & (cover > PHOTOGRAPHS.min_solid)):
         taken = None  # not the photograph was painted on, but a render that lost its camera
@@ -345,6 +379,25 @@ def _admitted(edit: PictureFile, request: PictureRequest, strictness: Strictness
     except RefusedPicture as error:
         hint = "it was laid over the asset seen from its camera: is it of that view, and the asset of that capture?"
         raise RefusedPicture(f"{error}; {hint}") from None
+
+
+def _is_upside_down(colors: np.ndarray, render: np.ndarray, where: np.ndarray) -> bool:
+    """Whether a photograph fits a render much better once it is turned by 180 degrees."""
+    both = where & where[::-1, ::-1]  # the same pixels in both
+    if not both.any():
+        return False
+    blurred = [box_mean(values.mean(-1), PHOTOGRAPHS.blur_px) for values in (colors, render)]
+    as_it_is, turned_round = (
+        _correlation(seen[both], blurred[1][both]) for seen in (blurred[0], blurred[0][::-1, ::-1])
+    )
+    return turned_round > as_it_is + PHOTOGRAPHS.min_turned_likeness
+
+
+def _correlation(first: np.ndarray, second: np.ndarray) -> float:
+    """Of two lists of numbers; 0 where one is constant."""
+    one, other = first - first.mean(), second - second.mean()
+    size = math.sqrt(float((one * one).sum()) * float((other * other).sum()))
+    return float((one * other).sum()) / size if size > 0 else 0.0
 
 
 def _nearer(colors: np.ndarray, render: np.ndarray, taken: np.ndarray, where: np.ndarray) -> bool:

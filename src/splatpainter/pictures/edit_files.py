@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,6 +53,8 @@ class Photograph:
     """[H, W, 3] the photograph before it was painted on, straightened as the picture; None where it is not there."""
     path: Path | None = None
     """Its file."""
+    half_turned: Callable[[], PictureFile] | None = field(default=None, repr=False)
+    """Reads the same file turned by 180 degrees; None: it is read so."""
 
 
 @dataclass(frozen=True)
