@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io as bytes_io
 import json
+import pickle
 import re
 import struct
 import zipfile
@@ -351,6 +352,13 @@ KINDS = [
     (b"\0\x05\x16\x07\0\2\0\0Mac OS X        " + bytes(40), "a shadow file of macOS"),
     (b"\x7fELF" + bytes(60), "a program"),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(56), "a document"),
+    (pickle.dumps([*range(500)], protocol=4), "a pickle of Python"),
+    (pickle.dumps({"means": [0.5] * 90}, protocol=2), "a pickle of Python"),
+    (
+        struct.pack("<Q", 64) + b'{"a":{"dtype":"F32","shape":[6],"data_offsets":[0,24]}}'.ljust(64) + bytes(56),
+        "weights",
+    ),
+    (b"ball".ljust(80) + struct.pack("<I", 6) + (struct.pack("<12f", 0, 0, 1, *range(9)) + b"\0\0") * 6, "a mesh"),
 ]
 
 

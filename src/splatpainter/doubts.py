@@ -100,6 +100,7 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
                 _unfiltered,
                 _other_gaussians,
                 _log_scales_in_glb,
+                _order_of_harmonics,
                 _lossy_planes,
                 _rotations_without_alpha,
                 _unwritten_rows,
@@ -252,6 +253,17 @@ def _log_scales_in_glb(splats: Splats, few: Splats) -> Doubt | None:
         f"SCALE is negative in {100 * negative:.0f} % of the Gaussians",
         "they are probably logarithms, which the standard does not allow, so that most Gaussians are not drawn",
         "export again with a newer program (splat-transform from 2.7.0 on)",
+    )
+
+
+def _order_of_harmonics(splats: Splats, few: Splats) -> Doubt | None:
+    source = splats.source
+    if source is None or source.format != "ksplat" or not source.detail:
+        return None
+    return Doubt(
+        f"written by {source.detail}, which stores SH of .ksplat channel by channel and not band by band",
+        "read as such here, but other viewers show wrong colours from the side",
+        "for them, convert it to .ply or .spz",
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from splatpainter import io
+from splatpainter.doubts import doubts
 from splatpainter.io.formats.spz import write_spz
 from splatpainter.splats import Splats
 from tests.support.io_assets import random_splats
@@ -78,3 +79,15 @@ def test_other_formats_in_gaussforge(name: str, degree: int, tmp_path: Path) -> 
         theirs.opacities, ours.opacities, atol=1e-5
     )
     assert quats_apart(theirs.quats, ours.quats) < 1e-5
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_a_ksplat_of_gaussforge_has_its_own_order_of_harmonics(degree: int, tmp_path: Path) -> None:
+    """Channel by channel; GaussianSplats3D, three.js and splat-transform read band by band (test_ksplat.py)."""
+    splats = random_splats(60, degree)
+    io.write(tmp_path / "a.ply", splats)
+    gaussforge_convert(tmp_path / "a.ply", "ply", tmp_path / "a.ksplat", "ksplat", 3)
+    theirs = io.read(tmp_path / "a.ksplat")
+    assert np.abs(theirs.sh[:, 1:] - splats.sh[:, 1:]).max(initial=0) < 1e-6
+    lines = [doubt.line for doubt in doubts(theirs) if "GaussForge" in doubt.line]
+    assert len(lines) == (degree > 1) and all("channel by channel" in line for line in lines)

@@ -7,7 +7,9 @@ without one (.splat, .ksplat) no honest file begins so: its first twelve bytes a
 from __future__ import annotations
 
 import string
+import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 HEAD_BYTES = 512
@@ -99,6 +101,9 @@ def check_not_foreign(head: bytes, path: Path) -> None:
     for offset, magic, what, remedy in _MAGIC:
         if head[offset : offset + len(magic)] == magic and (offset != 8 or head[:4] == b"RIFF"):
             raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
+    for is_it, what, remedy in _SHAPES:
+        if is_it(head):
+            raise ValueError(f"{path}: is {what}, not a splat file; {remedy}")
     if _is_transport_stream(head):
         raise ValueError(f"{path}: is a film (MPEG transport stream), not a splat file; {FILM_ADVICE}")
     ending = path.suffix.lower()
@@ -119,6 +124,40 @@ def check_not_foreign(head: bytes, path: Path) -> None:
 def _is_transport_stream(head: bytes) -> bool:
     starts = head[: 4 * TS_PACKET : TS_PACKET]
     return len(starts) >= 3 and set(starts) == {TS_SYNC}
+
+
+def _is_safetensors(head: bytes) -> bool:
+    """The length of a JSON text, and that."""
+    return head[8:10] == b'{"' and 2 <= int.from_bytes(head[:8], "little") < 1 << 30
+
+
+def _is_pickle(head: bytes) -> bool:
+    """Protocol 4 and later: a frame and its length; before, torch's own number or a list, a dict, a class."""
+    if head[:1] != b"\x80":
+        return False
+    return head[1:3] in (b"\x04\x95", b"\x05\x95") or (
+        head[1:2] in (b"\x02", b"\x03") and head[2:4] in (b"\x8a\x0a", b"}q", b"]q", b"cn", b"cc", b"(d", b"(l")
+    )
+
+
+def _is_stl(head: bytes) -> bool:
+    """Binary: 80 bytes of anything, a count, and triangles of 50 bytes whose last two say nothing. Two of them at
+    least, with normals of length 1 or none."""
+    if len(head) < 84 + 2 * 50 or head[:3] == b"ply":
+        return False
+    count = int.from_bytes(head[80:84], "little")
+    triangles = [head[84 + 50 * k : 134 + 50 * k] for k in range(min(count, (len(head) - 84) // 50))]
+    lengths = [sum(value * value for value in struct.unpack("<3f", one[:12])) for one in triangles]
+    plain = all(one[48:] == b"\0\0" for one in triangles)
+    return count > 1 and plain and all(one == 0 or abs(one - 1) < 1e-3 for one in lengths)
+
+
+_SHAPES: tuple[tuple[Callable[[bytes], bool], str, str], ...] = (
+    (_is_safetensors, "weights (safetensors)", "save its splats as .ply"),
+    (_is_pickle, "a pickle of Python", EXPORT_ADVICE),
+    (_is_stl, "a mesh (STL)", "make splats of it: splatpainter fit MESH.glb"),
+)
+"""(whether a beginning is of it, what it is, what to do) of those that no fixed bytes tell."""
 
 
 def _is_gzip(head: bytes) -> bool:

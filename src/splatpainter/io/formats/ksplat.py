@@ -8,6 +8,9 @@
     row: position, scale (linear), rotation w x y z, RGBA u8, SH (band by band, channel-major within a band)
         level 0: all float32; level 1: position u16 about the bucket's centre, others float16; level 2: and SH u8
 
+GaussForge 0.6 stores SH channel by channel, all bands of red first; its files are known by the header's counts of
+sections and of room, both 0, and are read so.
+
 Rows come in the file's order: full buckets, then partly filled ones, section after section.
 """
 
@@ -31,6 +34,8 @@ SH_RANGE = 1.5
 """Half range of 8-bit SH where the header says 0."""
 MAX_SECTIONS = 4096
 """Sections of a file; converters write one, or one for each joined scene."""
+SH_BY_CHANNEL = "GaussForge"
+"""Source.detail of a file whose SH are in that program's order."""
 POSITION_RANGE = 32767
 """Half range of a 16-bit position where a section header says 0."""
 
@@ -69,8 +74,12 @@ def read_ksplat(path: Path) -> Splats:
         raise ValueError(f"{path}: expected .ksplat compression level 0, 1 or 2, got {level}")
     low, high = (float(x) for x in np.frombuffer(head, "<f4", 2, 36))
     span = (low or -SH_RANGE, high or SH_RANGE)
+    by_channel = not np.frombuffer(head, "<u4", 2, 8).any()
     with np.errstate(all="ignore"):  # NaN and overflow in a damaged file are reported below, not warned of
-        parts = [_read_section(data, s, level, span, path) for s in _sections(data, int(sections), level, path)]
+        parts = [
+            _read_section(data, section, level, span, by_channel, path)
+            for section in _sections(data, int(sections), level, path)
+        ]
     coefficients = max(p.sh.shape[1] for p in parts)
     splats = Splats(
         means=np.concatenate([p.means for p in parts]),
@@ -82,7 +91,9 @@ def read_ksplat(path: Path) -> Splats:
     problems = row_problems(splats)
     if len(splats) != total:
         problems.insert(0, f"the header says {total} rows, the sections hold {len(splats)}")
-    source = Source(str(path), "ksplat", splats, files.sha256(data), None, tuple(problems))
+    # In the lowest band both orders are the same.
+    detail = SH_BY_CHANNEL if by_channel and coefficients > 4 else None
+    source = Source(str(path), "ksplat", splats, files.sha256(data), detail, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
 
 
@@ -139,7 +150,9 @@ def _row(level: int, degree: int) -> np.dtype:
     )
 
 
-def _read_section(data: bytes, section: _Section, level: int, span: tuple[float, float], path: Path) -> Splats:
+def _read_section(
+    data: bytes, section: _Section, level: int, span: tuple[float, float], by_channel: bool, path: Path
+) -> Splats:
     rows = np.frombuffer(data, _row(level, section.degree), section.rows, section.start + section.buckets_size)
     colors = rows["rgba"] / np.float64(255)
     means = rows["means"].astype(np.float64)
@@ -151,7 +164,9 @@ def _read_section(data: bytes, section: _Section, level: int, span: tuple[float,
     if level == 2:
         rest = span[0] + rest / 255 * (span[1] - span[0])
     bands = [activations.color_to_dc(colors[:, :3])[:, None]]
-    for l in range(1, section.degree + 1):
+    if by_channel:
+        bands.append(rest.reshape(len(rest), 3, -1).transpose(0, 2, 1).astype(np.float32))
+    for l in range(1, 0 if by_channel else section.degree + 1):
         width = 2 * l + 1
         band = rest[:, 3 * (l * l - 1) : 3 * (l * l - 1) + 3 * width].reshape(-1, 3, width)
         bands.append(band.transpose(0, 2, 1).astype(np.float32))
