@@ -37,7 +37,8 @@ EXTRA = "pictures"
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 TEXT_CHUNKS = (b"tEXt", b"zTXt", b"iTXt")
 EXR_MAGIC = b"\x76\x2f\x31\x01"
-READS = ("png", "tiff", "openexr")
+RADIANCE_MAGIC = b"#?RADIANCE"
+READS = ("png", "tiff", "openexr", "hdr")
 """What OpenImageIO is given to read, of all that it could."""
 TIFF_BITS = 258
 """Tag: bits of each channel."""
@@ -224,6 +225,20 @@ def is_exr(path: Path) -> bool:
         return False
 
 
+def is_light(path: Path) -> bool:
+    """Whether a file's numbers are linear light by its kind: OpenEXR, Radiance. False for what cannot be read."""
+    try:
+        return is_exr(path) or _begins_with(path, RADIANCE_MAGIC)
+    except OSError:
+        return False
+
+
+def light_size(path: Path, max_pixels: int) -> tuple[int, int]:
+    """(width, height) of such a file, of its display window, by its header. Raises ValueError as `read_deep`."""
+    with _opened(path, max_pixels) as (_, spec):
+        return spec.full_width, spec.full_height
+
+
 def is_deep(path: Path, image: Image) -> bool:
     """Whether Pillow, which opened it, cuts this PNG or TIFF to 8 bits: 16-bit samples of several channels."""
     if image.format == "PNG":
@@ -237,9 +252,9 @@ def is_deep(path: Path, image: Image) -> bool:
 
 
 def read_deep(path: Path, max_pixels: int) -> PixelSamples:
-    """All bits of a PNG, TIFF or OpenEXR file (of the latter R, G, B, A or Y; its whole display window, with nothing
-    outside its data window). Raises ValueError naming the file: no OpenImageIO, damaged, more than `max_pixels`,
-    channels that are no colour."""
+    """All bits of a PNG, TIFF, Radiance or OpenEXR file (of the latter R, G, B, A or Y; its whole display window, with
+    nothing outside its data window). Raises ValueError naming the file: no OpenImageIO, damaged, more than
+    `max_pixels`, channels that are no colour."""
     with _opened(path, max_pixels) as (source, spec):
         if spec.deep:
             raise ValueError(f"{path}: expected a flat picture, got deep samples; flatten it first")
@@ -390,8 +405,7 @@ def exr_text(path: Path, keyword: str, max_pixels: int) -> str | None:
 def _opened(path: Path, max_pixels: int) -> Iterator[tuple[Any, Any]]:
     """(input, spec) of a file whose claims were judged: nothing was decoded yet."""
     # Limits are set before the file is opened: a header can claim any number of channels and pixels.
-    exr = is_exr(path)
-    oiio = require_deep(f"{path}: {'OpenEXR' if exr else '16-bit colour'}")
+    oiio = require_deep(f"{path}: {'OpenEXR' if is_exr(path) else 'Radiance' if is_light(path) else '16-bit colour'}")
     oiio.attribute("limits:channels", MAX_CHANNELS)
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)  # leave colours and alpha as they are stored

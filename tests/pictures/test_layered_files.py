@@ -49,6 +49,7 @@ def psd(
     composite: bool = True,
     mode: int = 3,
     kind: int | None = None,
+    channel: bytes = b"",
 ) -> bytes:
     """A PSD or PSB by hand. planes: [H, W] uint8 or uint16; layers: the number that its layer section says."""
     height, width = planes[0].shape
@@ -59,6 +60,10 @@ def psd(
     if profile:
         resources += b"8BIM" + struct.pack(">H", 1039) + b"\3abc" + struct.pack(">I", len(profile)) + profile
         resources += bytes(len(profile) % 2)
+    if channel:  # its name, with its length before it
+        name = bytes([len(channel)]) + channel
+        resources += b"8BIM" + struct.pack(">H", 1006) + b"\0\0" + struct.pack(">I", len(name)) + name
+        resources += bytes(len(name) % 2)
     out += struct.pack(">I", len(resources)) + resources
     length = ">Q" if large else ">I"
     section = b"" if layers is None else struct.pack(length, 2) + struct.pack(">h", layers)
@@ -102,6 +107,10 @@ def test_the_alpha_of_a_psd_is_taken_off_white(tmp_path: Path) -> None:
     assert np.abs(picture.colors - LEVELS / 255)[alpha > 0].max() < 1.01 / 255 * 2
     path.write_bytes(psd(planes_of(LEVELS, alpha), layers=2))
     assert read_picture(path).alpha is None, "a saved selection is no transparency"
+    # Without layers: Photoshop names a selection, and other programs write four channels alone.
+    for channel, is_there in ((b"Alpha 1", False), (b"Transparency", True), (b"", True)):
+        path.write_bytes(psd(planes_of(on_white, alpha), channel=channel))
+        assert (read_picture(path).alpha is not None) is is_there, channel
 
 
 def test_grey_and_profiles(tmp_path: Path) -> None:

@@ -8,13 +8,17 @@ import json
 import time
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from splatpainter.color import srgb_to_linear
 from splatpainter.gatekeeper import crop_search
+from splatpainter.image_files import to_uint8
+from splatpainter.lights.sky_maps import SkyMap, write_sky
 from splatpainter.pictures.lost_transparency import GROUND_NOTE
 from splatpainter.rendering import render
 from splatpainter.server.uploads.image_registration import png_bytes
@@ -319,3 +323,51 @@ def test_the_folder_is_watched(studio: Live, tmp_path: Path) -> None:
         assert event is not None and event["name"].startswith("saved")
         checked = browser.do("picture.check", picture=event["picture"], name=event["name"])
         assert checked["camera_source"] == "chunk" and json.dumps(checked["camera"])
+
+
+def light(path: Path, pixels: np.ndarray, size: tuple[int, int] | None = None) -> bytes:
+    """A file of linear light without a camera, as painting programs save views; size: of another shape than it."""
+    resized = pixels if size is None else np.asarray(Image.fromarray(pixels).resize(size))
+    write_sky(path, SkyMap(srgb_to_linear(resized.astype(np.float32) / 255), path.name))
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("ending", ["exr", "hdr"])
+def test_light_that_is_no_sky_is_a_painted_view(ending: str, studio: Live, tmp_path: Path) -> None:
+    """OpenEXR and Radiance hold environments and pictures; twice as wide as high are both."""
+    shared, served = tmp_path / "shared", studio.studio
+    pixels = to_uint8(painted(shot())[0])
+    studio.post("view.export", camera=wire(view()), name="export", to="folder")
+    light(shared / f"export.{ending}", pixels)
+    blob = saved_picture(served, f"export.{ending}")
+    assert blob is not None and blob.info.kind == "picture"
+    checked = studio.post("picture.check", picture=blob.sha256, name=f"export.{ending}")
+    assert 0 < checked["share"] < 0.2 and any("not as a sky" in note for note in checked["notes"])
+    # Twice as wide as high: a sky, until a view of that shape was exported.
+    light(shared / f"wide.{ending}", pixels, (64, 32))
+    with pytest.raises(ValueError, match="a sky, for Light, Sky from a file"):
+        saved_picture(served, f"wide.{ending}")
+    sent = studio.send((shared / f"wide.{ending}").read_bytes(), f"wide.{ending}")
+    refused = studio.http.post("/api/do/picture.check", json={"picture": sent, "name": f"wide.{ending}"})
+    assert refused.status_code == 400 and "a sky is for Light" in refused.text
+    studio.post("light.sky", file=sent)
+    wide = replace(view(), width=192, cx=96.0)
+    studio.post("view.export", camera=wire(wide), name="broad", to="folder")
+    edited = np.clip(render(served.session.splats, wide).colors[0], 0, 1)
+    edited[40:56, 88:104] = (1, 0, 0)
+    light(shared / f"broad.{ending}", to_uint8(edited))
+    blob = saved_picture(served, f"broad.{ending}")
+    assert blob is not None
+    checked = studio.post("picture.check", picture=blob.sha256, name=f"broad.{ending}")
+    assert checked["camera"]["width"] == 192 and 0 < checked["share"] < 0.1
+
+
+def test_aovs_beside_a_view_are_no_edits(studio: Live, tmp_path: Path) -> None:
+    """As `render --aov` writes them into the watched folder."""
+    shared = tmp_path / "shared"
+    light(shared / "view_000.depth.exr", to_uint8(shot()))
+    record = {**json.loads(view().to_json()), "aov": {"depth": {"file": "view_000.depth.exr"}}}
+    (shared / "view_000.json").write_text(json.dumps(record))
+    assert saved_picture(studio.studio, "view_000.depth.exr") is None
+    (shared / "view_000.json").write_text(view().to_json())
+    assert saved_picture(studio.studio, "view_000.depth.exr") is not None

@@ -44,7 +44,6 @@ FOREIGN = {
     b"DDS ": "a DDS texture",
     b"\xabKTX ": "a KTX texture",
     b"qoif": "a QOI picture",
-    b"#?RADIANCE": "a Radiance HDR picture",
     b"#?RGBE": "a Radiance HDR picture",
     b"PF\n": "a PFM picture",
     b"Pf\n": "a PFM picture",
@@ -73,7 +72,7 @@ FOREIGN = {
 BRANDS = {b"heic": "a HEIC picture", b"heix": "a HEIC picture", b"mif1": "a HEIC picture", b"avif": "an AVIF picture"}
 RGB_MODE, GREY_MODE = 3, 1
 MODES = {0: "a bitmap", 2: "indexed colours", 4: "CMYK", 7: "multichannel", 8: "duotone", 9: "Lab"}
-PROFILE_RESOURCE, VERSION_RESOURCE = 1039, 1057
+PROFILE_RESOURCE, VERSION_RESOURCE, CHANNEL_NAMES_RESOURCE = 1039, 1057, 1006
 MAX_RESOURCES = 4096
 MAX_PROFILE_BYTES = 16 << 20
 
@@ -146,13 +145,13 @@ def read_psd(path: Path) -> Composite:
         header = _psd_header(file, path)
         # Sections in the order of the file: colour modes, resources, layers, then the composite.
         _skipped(file, 4, size, path)
-        profile, has_composite = _resources(file, size, path)
+        profile, has_composite, channel = _resources(file, size, path)
         if not has_composite:
             raise ValueError(
                 f"{path}: a PSD that was saved without its flattened picture; save it with maximum compatibility, or "
                 "export it as PNG"
             )
-        transparent = _first_alpha_is_transparency(file, header, size, path)
+        transparent = _first_alpha_is_transparency(file, header, channel, size, path)
         planes = _planes(file, header, size, path)
     colors = np.stack(planes[:3], -1) if header.mode == RGB_MODE else np.repeat(planes[0][..., None], 3, -1)
     values = colors.astype(np.float32) / (255 if header.bits == 8 else 65535)
@@ -201,10 +200,11 @@ def _skipped(file: BinaryIO, length_bytes: int, size: int, path: Path) -> tuple[
     return start, end
 
 
-def _resources(file: BinaryIO, size: int, path: Path) -> tuple[bytes | None, bool]:
-    """(the ICC profile, whether the composite is one); the file stands behind the resources."""
+def _resources(file: BinaryIO, size: int, path: Path) -> tuple[bytes | None, bool, bytes]:
+    """(the ICC profile, whether the composite is one, the name of the first channel behind the colours, b"" where none
+    is said); the file stands behind the resources."""
     start, end = _skipped(file, 4, size, path)
-    profile, has_composite = None, True
+    profile, has_composite, channel = None, True, b""
     at = start
     for _ in range(MAX_RESOURCES):
         file.seek(at)
@@ -222,17 +222,20 @@ def _resources(file: BinaryIO, size: int, path: Path) -> tuple[bytes | None, boo
             profile = file.read(length)
         elif id == VERSION_RESOURCE and length >= 5:
             has_composite = file.read(5)[4] != 0
+        elif id == CHANNEL_NAMES_RESOURCE and length > 1:
+            channel = file.read(min(length, 256))[1:]
         at = body + length + length % 2
     file.seek(end)
-    return profile, has_composite
+    return profile, has_composite, channel
 
 
-def _first_alpha_is_transparency(file: BinaryIO, header: _PsdHeader, size: int, path: Path) -> bool:
+def _first_alpha_is_transparency(file: BinaryIO, header: _PsdHeader, channel: bytes, size: int, path: Path) -> bool:
     """Whether the channel behind the colours is the composite's transparency, not a saved selection: the number of
-    layers is below 0 then. Without layers nobody says: programs that write four channels alone mean it so."""
+    layers is below 0 then. Without layers its name says it (channel), which Photoshop writes; programs that write four
+    channels alone mean it so."""
     length_bytes = 8 if header.large else 4
     start, end = _skipped(file, length_bytes, size, path)
-    transparent = True
+    transparent = not channel or channel.startswith(b"Transparency")
     if end - start >= length_bytes + 2:
         file.seek(start + length_bytes)
         transparent = int.from_bytes(file.read(2), "big", signed=True) < 0

@@ -29,7 +29,7 @@ from splatpainter.image_files import (
     can_do_deep,
     is_beyond_pillow,
     is_deep,
-    is_exr,
+    is_light,
     read_deep,
 )
 from splatpainter.kernels.parallel import each
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 SIZE_LIMIT = f"at most {MAX_PICTURE_PIXELS // 10**6} megapixels"
 Kernel = Literal["nearest", "bilinear", "bicubic", "lanczos"]
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".psd", ".psb", ".ora", ".kra")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr", ".hdr", ".psd", ".psb", ".ora", ".kra")
 """Endings of files that are read as pictures."""
 PICTURE_KINDS = ("PNG", "JPEG", "WEBP", "TIFF")
 LOSSY_KINDS = ("JPEG", "WebP")
@@ -110,12 +110,12 @@ class Picture:
 
 def read_picture(path: Path, *, inks: bool = True) -> Picture:
     """Decode a PNG, JPEG, WebP or TIFF file as its owner sees it: turned as EXIF says, converted from its embedded
-    profile, or from what a PNG or EXIF says of its colours, to sRGB; or an OpenEXR file of linear light; or the
-    flattened picture of a PSD, OpenRaster or Krita file. inks: whether colours may be of INKS, not in pictures that are
-    compared with a render. Raises ValueError: missing, unreadable, damaged, another kind of file,
-    animated, more than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
+    profile, or from what a PNG or EXIF says of its colours, to sRGB; or an OpenEXR or Radiance file of linear light; or
+    the flattened picture of a PSD, OpenRaster or Krita file. inks: whether colours may be of INKS, not in pictures that
+    are compared with a render. Raises ValueError: missing, unreadable, damaged, another kind of file, animated, more
+    than MAX_PICTURE_PIXELS pixels, OpenEXR without OpenImageIO."""
     # Kinds that Pillow does not read, or not with all their bits, go first.
-    if is_exr(path):
+    if is_light(path):
         samples = read_deep(path, MAX_PICTURE_PIXELS)
         return replace(_light(samples), notes=(f"its layer {samples.layer} was read",) if samples.layer else ())
     if is_zip(path):
@@ -198,9 +198,9 @@ def _is_profile(profile: bytes) -> bool:
 
 
 def declared_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) by a picture's header, before EXIF turns it: nothing is decoded. None for OpenEXR and TIFF
-    of floats, whose windows the reader judges. Raises ValueError as `read_picture`."""
-    if is_exr(path) or _is_tiff_beyond_pillow(path):
+    """(width, height) by a picture's header, before EXIF turns it: nothing is decoded. None for OpenEXR, Radiance
+    and TIFF of floats, whose windows the reader judges. Raises ValueError as `read_picture`."""
+    if is_light(path) or _is_tiff_beyond_pillow(path):
         return None
     if is_psd(path):
         return psd_size(path)

@@ -46,11 +46,13 @@ const TABS: readonly (readonly [Tab, string, () => preact.JSX.Element | null])[]
 ];
 const dropping = signal(false);
 const isPicture = (file: File) => /^image\/(png|jpeg|webp)$/.test(file.type);
+/** Pictures that no browser shows, and the server reads. */
+const isOtherPicture = (file: File) => /\.(tiff?|exr|hdr|psd|psb|ora|kra)$/i.test(file.name);
 
 function take(files: File[]): void {
   for (const file of files) {
     if (isPicture(file) && inHand().takesPictures && camera.value) void placePicture(file, file.name);
-    else if (isPicture(file)) void addPicture(file);
+    else if (isPicture(file) || isOtherPicture(file)) void addPicture(file);
     else void openFile(file);
   }
 }

@@ -34,6 +34,7 @@ from splatpainter.server.protocol import MAX_VIEW_PIXELS, Answer, Blob, CameraIn
 from splatpainter.server.studio import Studio
 from splatpainter.server.uploads import image_registration as registration
 from splatpainter.server.uploads.storage import StoredBlob
+from splatpainter.server.uploads.upload_sniffing import LIGHT_MAGIC
 from splatpainter.system.quick_dataclass import dataclass
 
 MAX_CROP_CANDIDATES = 8
@@ -99,6 +100,8 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     placed = _placed(context, picture, camera, alpha, name)
     cover = render_alpha(studio.session.splats, placed.camera)
     placed = _on_the_views_ground(context, placed, picture, cover)
+    if blob.info.ending in LIGHT_MAGIC:
+        placed = replace(placed, notes=[*placed.notes, "linear light, taken as a painted view and not as a sky"])
     mask = _edited(placed, picture, cover, request.threshold)
     # From here on only warnings: the picture may be used all the same.
     warnings = _warnings(context, placed, mask, cover)
@@ -351,7 +354,10 @@ def _find_camera(
         camera = _cropped_from(context, colors)
         if camera is not None:
             return camera, "export"
-        raise ValueError(f"{name}: it has no camera and matches no exported view; go to its view and drop it there")
+        is_sky = "; a sky is for Light, Sky from a file" if blob.info.kind == "sky" else ""
+        raise ValueError(
+            f"{name}: it has no camera and matches no exported view; go to its view and drop it there{is_sky}"
+        )
     return best.camera, "export"
 
 

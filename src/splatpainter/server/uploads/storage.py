@@ -333,7 +333,8 @@ class Blobs:
             return incoming.finish()
 
     def get(self, sha256: str, kind: str | None = None) -> StoredBlob:
-        """What was put. Raises ValueError where it is not (or no longer) here, or of another kind."""
+        """What was put; a sky is a picture, too. Raises ValueError where it is not (or no longer) here, or of another
+        kind."""
         with self._lock:
             # Taken again is used again: the oldest to go is the one that nobody asks for.
             blob = self._blobs.get(sha256)
@@ -341,7 +342,7 @@ class Blobs:
                 self._blobs.move_to_end(sha256)
         if blob is None:
             raise ValueError(f"blob {sha256[:12]}...: no longer available; send it again to /api/blobs")
-        if kind is not None and blob.info.kind != kind:
+        if kind is not None and blob.info.kind != kind and not (kind == "picture" and blob.info.kind == "sky"):
             raise ValueError(f"{blob.name or 'blob'}: expected {_article(kind)}, got {_article(blob.info.kind)}")
         return blob
 

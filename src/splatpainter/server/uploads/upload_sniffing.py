@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from splatpainter.grading.cube_lut import MAX_CUBE_BYTES
+from splatpainter.image_files import CAMERA_KEYWORD, EXR_MAGIC, exr_text, light_size
 from splatpainter.io import FORMATS, detect
 from splatpainter.io.bounded import Gunzip, zip_directory
 from splatpainter.io.files import read_head, reading
@@ -21,8 +24,10 @@ from splatpainter.system.quick_dataclass import dataclass
 Kind = Literal["picture", "asset", "project", "layer", "lut", "sky", "rig"]
 CUBE_ENDING = ".cube"
 SQLITE, ZIP = b"SQLite format 3\0", b"PK\x03\x04"
-SKY_MAGIC = {".hdr": b"#?R", ".exr": b"\x76\x2f\x31\x01"}
-"""Of environments: Radiance and OpenEXR."""
+LIGHT_MAGIC = {".hdr": b"#?R", ".exr": EXR_MAGIC}
+"""Of Radiance and OpenEXR: environments, and pictures of views."""
+SKY_ASPECT = 2.0
+"""Width over height of an environment."""
 MEDIA = {"PNG": "image/png", "JPEG": "image/jpeg", "WEBP": "image/webp", "TIFF": "image/tiff"}
 ENDINGS = {"PNG": ".png", "JPEG": ".jpg", "WEBP": ".webp", "TIFF": ".tif"}
 
@@ -80,10 +85,10 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
 
 
 def _light(path: Path, name: str, head: bytes) -> UploadInfo | None:
-    """An environment, or a rig of lights."""
-    for ending, magic in SKY_MAGIC.items():
+    """A picture of linear light, which may be an environment, or a rig of lights."""
+    for ending, magic in LIGHT_MAGIC.items():
         if head.startswith(magic):
-            return UploadInfo("sky", ending, "application/octet-stream")
+            return _picture_of_light(path, ending)
     # Rigs are small; a GLB is one if it says so, and else an asset.
     suffix = Path(name.lower()).suffix
     if suffix not in RIG_SUFFIXES or path.stat().st_size > MAX_RIG_BYTES:
@@ -91,6 +96,17 @@ def _light(path: Path, name: str, head: bytes) -> UploadInfo | None:
     if suffix in (".glb", ".gltf") and b"KHR_lights_punctual" not in read_head(path, MAX_RIG_BYTES):
         return None
     return UploadInfo("rig", suffix, "application/octet-stream")
+
+
+def _picture_of_light(path: Path, ending: str) -> UploadInfo:
+    """A sky where it is twice as wide as high and carries no view's camera; what cannot be told is one, too."""
+    info, carries_camera = UploadInfo("sky", ending, "application/octet-stream"), False
+    with contextlib.suppress(ValueError):  # without OpenImageIO, or damaged: reading it says so
+        width, height = light_size(path, MAX_PICTURE_PIXELS)
+        info = replace(info, width=width, height=height)
+        carries_camera = ending == ".exr" and exr_text(path, CAMERA_KEYWORD, MAX_PICTURE_PIXELS) is not None
+    is_sky = info.width == SKY_ASPECT * info.height and not carries_camera
+    return info if is_sky else replace(info, kind="picture")
 
 
 def _is_layer(path: Path) -> bool:

@@ -15,15 +15,16 @@ import time
 from collections.abc import Callable
 
 from splatpainter.io import files
-from splatpainter.pictures.picture_reader import read_picture
+from splatpainter.pictures.picture_reader import PICTURE_SUFFIXES, read_picture
 from splatpainter.pictures.saved_pictures import SavedPictures
+from splatpainter.pictures.view_search import same_shape, views_in
 from splatpainter.server.commands.context import naming_errors
 from splatpainter.server.hub import Hub, log, problem_of
 from splatpainter.server.protocol import PictureEvent, ToastEvent
 from splatpainter.server.studio import Studio
-from splatpainter.server.uploads.storage import StoredBlob
+from splatpainter.server.uploads.storage import Folder, StoredBlob
+from splatpainter.system.jsonio import load_object
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".psd", ".psb", ".ora", ".kra")
 LOOK_SECONDS = 0.2
 """Seconds between two looks at the folder, at least."""
 REST_PER_LOOK = 9.0
@@ -87,7 +88,7 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
     picture."""
     # Hidden files are how programs write before they rename.
     hidden = any(part.startswith(".") for part in name.split("/"))
-    if studio.folder is None or hidden or not name.lower().endswith(SUFFIXES):
+    if studio.folder is None or hidden or not name.lower().endswith(PICTURE_SUFFIXES) or _is_aov(studio.folder, name):
         return None
     try:
         status = (studio.folder.root / name).stat()
@@ -108,10 +109,37 @@ def saved_picture(studio: Studio, name: str) -> StoredBlob | None:
     if studio.written.get(name) == sha256:
         return None
     blob = studio.blobs.put(data, path.name)
-    if blob.info.kind != "picture":
+    if blob.info.kind == "sky" and not _has_a_views_shape(studio, name, (blob.info.width, blob.info.height)):
+        raise ValueError(
+            "twice as wide as high, without a camera, and of no view's shape: a sky, for Light, Sky from a file; a "
+            "painted view keeps its shape"
+        )
+    if blob.info.kind not in ("picture", "sky"):
         raise ValueError("expected a picture")
     # Whole or not: only reading all of it tells.
     with naming_errors(blob.path, name):
         read_picture(blob.path, inks=False)  # half a file has a whole header
     studio.written[name] = sha256
     return blob
+
+
+def _has_a_views_shape(studio: Studio, name: str, size: tuple[int, int]) -> bool:
+    """Whether a picture has the shape of a view that was exported, or of one in its folder or the watched one."""
+    assert studio.folder is not None
+    root = studio.folder.root
+    at = root / name
+    exported = any(same_shape(size, (export.camera.width, export.camera.height)) for export in studio.exports)
+    return exported or bool(views_in([at.parent, root], size, besides=at))
+
+
+def _is_aov(folder: Folder, name: str) -> bool:
+    """Whether the view that a file is named after lists it as one of its AOVs, as `render --aov` writes them."""
+    above, _, last = name.rpartition("/")
+    stem = last.split(".")[0]
+    try:
+        path = folder.within(f"{above}/{stem}.json" if above else f"{stem}.json")
+        aovs = load_object(files.read_all(path), path, "a view").get("aov")
+    except (ValueError, OSError):
+        return False
+    entries = aovs.values() if isinstance(aovs, dict) else ()
+    return any(isinstance(entry, dict) and entry.get("file") == last for entry in entries)
