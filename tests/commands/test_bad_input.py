@@ -111,6 +111,16 @@ def test_missing_words(words: list[str], capfd: Capture) -> None:
     assert line.startswith(f"splatpainter {words[0]}: ") and line.endswith(f"see splatpainter {words[0]} --help")
 
 
+@pytest.mark.parametrize("words", [["--out", "OUT"], ["--out=OUT"], ["--json", "--out", "OUT"], ["OUT"]])
+def test_convert_takes_its_output_as_the_other_commands_do(words: list[str], tmp_path: Path, capfd: Capture) -> None:
+    asset, out = saved(tmp_path / "a.ply"), tmp_path / "b.spz"
+    done = run(capfd, "convert", asset, *(word.replace("OUT", str(out)) for word in words))
+    assert done.code == 0 and out.is_file()
+    for wrong in (["--out"], ["--out", "b.spz", "c.spz"], []):
+        line = run(capfd, "convert", asset, *wrong).error
+        assert line.startswith("splatpainter convert: ") and line.endswith("see splatpainter convert --help")
+
+
 def test_a_terminal_without_unicode(capfd: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(io.BytesIO(), encoding="cp1252"))  # as of a pipe on Windows
     with pytest.raises(ValueError, match=r"^splatpainter info: missing ASSET; see splatpainter info --help$"):

@@ -45,6 +45,7 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
     """An instance of the dataclass `kind` from command-line words.
 
     Raises ValueError with tyro's complaint in one line; --help prints the help and raises SystemExit(0)."""
+    words = _out_by_place(kind, words)
     _refuse_repeats_and_typos(kind, program, words)
     marks = (tyro.conf.FlagCreatePairsOff,)
     asks_for_help = "--help" in words or "-h" in words
@@ -64,6 +65,20 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
         if done.code in (0, None):
             raise
         raise ValueError(f"{program}: {unboxed(box.getvalue(), program)}; see {program} --help") from None
+
+
+def _out_by_place(kind: type, words: Sequence[str]) -> list[str]:
+    """The words with `--out FILE` as the last place, where the output has a place: all other commands call it --out,
+    and so do hands."""
+    rest = list(words)
+    has_place = Positional in getattr(get_type_hints(kind, include_extras=True).get("out"), "__metadata__", ())
+    at = next((k for k, word in enumerate(rest) if word == "--out" or word.startswith("--out=")), None)
+    if not has_place or at is None:
+        return rest
+    name, equals, value = rest.pop(at).partition("=")
+    if not equals:
+        value = rest.pop(at) if at < len(rest) else name
+    return [*rest, value]
 
 
 @functools.cache
