@@ -199,6 +199,15 @@ def test_rotations_of_a_sog_without_their_alpha(tmp_path: Path) -> None:
         opaque = image.convert("RGB")
     opaque.save(plane, "WEBP", lossless=True)
     assert "the image of the rotations has no transparency" in lines(tmp_path / "d")
+
+
+def test_opacities_of_a_sog_without_their_alpha(tmp_path: Path) -> None:
+    io.write(tmp_path / "d" / "meta.json", ball(600))
+    plane = tmp_path / "d" / "sh0.webp"
+    with Image.open(plane) as image:
+        opaque = image.convert("RGB")
+    opaque.save(plane, "WEBP", lossless=True)
+    assert "the image of the colours has no transparency: every Gaussian is opaque" in lines(tmp_path / "d")
     # All turned alike about z: the same alpha for a reason.
     turned = replace(ball(600), quats=np.repeat(np.array([[0.1, 0, 0, 1]], np.float32), 600, 0))
     io.write(tmp_path / "e" / "meta.json", turned)

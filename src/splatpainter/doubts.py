@@ -103,6 +103,7 @@ def doubts(splats: Splats) -> tuple[Doubt, ...]:
                 _order_of_harmonics,
                 _lossy_planes,
                 _rotations_without_alpha,
+                _opacities_without_alpha,
                 _unwritten_rows,
                 _transform_left_out,
                 _coarse_positions,
@@ -298,6 +299,21 @@ def _rotations_without_alpha(splats: Splats, few: Splats) -> Doubt | None:
         "the image of the rotations has no transparency",
         "which component of each rotation is the largest was lost with it, so that most Gaussians point elsewhere",
         "export again; an image optimiser may have been at the files",
+    )
+
+
+def _opacities_without_alpha(splats: Splats, few: Splats) -> Doubt | None:
+    """Opacities are the alpha of the colours' pixels: 1 for all, where an image has none."""
+    source = splats.source
+    if source is None or source.format != "sog" or len(splats) < DOUBTS.min_rows:
+        return None
+    colors = source.detail.pixels.get("sh0")
+    if colors is None or (colors[:, 3] != 255).any():
+        return None
+    return Doubt(
+        "the image of the colours has no transparency",
+        "every Gaussian is opaque, which trained ones are not: their opacities were lost with it",
+        "export again, unless all are meant so; an image optimiser may have been at the files",
     )
 
 
