@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import splatpainter as sp
 from splatpainter import receipts
@@ -233,3 +234,17 @@ def test_an_asset_that_was_edited_goes_on(folder: Path) -> None:
     second = sp.edit(first, [sp.Grade(exposure=0.1), sp.Delight(mix=0.5)])
     assert isinstance(second, Asset) and second.receipt is not None
     assert second.receipt.asset_sha256 == first.splats.sha256 and len(second.receipt.operations) == 2
+
+
+def test_a_lossy_picture_that_is_another_all_over_is_warned_of(folder: Path, capfd: Capture) -> None:
+    """Somebody may have had all of it made anew; more often a service gave back a poor copy."""
+    with Image.open(folder / "painted.png") as image:
+        pixels = np.asarray(image.convert("RGB")).astype(np.float32)
+    noisy = pixels + np.random.default_rng(0).normal(0, 9, pixels.shape)
+    Image.fromarray(np.clip(noisy, 0, 255).astype(np.uint8)).save(folder / "noisy.webp", quality=80)
+    words = ("edit", "ball.ply", "noisy.webp", "--camera", "views/view_000.png", "--method", "lift")
+    done = run(capfd, *words, "--out", "o.ply")
+    assert done.code == 0 and "noisy.webp: more than its compression changed all of it" in done.err
+    Image.fromarray(pixels.astype(np.uint8)).save(folder / "good.webp", quality=80)
+    done = run(capfd, *words[:2], "good.webp", *words[3:], "--out", "g.ply")
+    assert done.code == 0 and "compression changed" not in done.err

@@ -22,6 +22,8 @@ FILES = {
     "WebP of quality 80": ("a.webp", {"quality": 80}),
     "WebP of quality 20": ("a.webp", {"quality": 20}),
 }
+OTHER_WEBP = (8, 13, 15, 27, 45, 84)
+"""Qualities between those that are tried first."""
 
 
 def stored(folder: Path, name: str, pixels: np.ndarray, **settings: object) -> Path:
@@ -38,6 +40,17 @@ def painted(color: tuple[int, int, int] = (230, 40, 30), opacity: float = 1.0) -
 def test_loss_is_no_paint(name: str, settings: dict, tmp_path: Path) -> None:
     picture = read_picture(stored(tmp_path, name, LEVELS, **settings))
     assert picture.encoding is not None
+    mask = edited_in_encoded(picture.colors, VIEW, ALPHA, picture.encoding)
+    assert mask is not None and not mask.any()
+
+
+@pytest.mark.parametrize("quality", OTHER_WEBP)
+def test_a_webp_of_any_quality_is_no_paint(quality: int, tmp_path: Path) -> None:
+    picture = read_picture(stored(tmp_path, "a.webp", LEVELS, quality=quality))
+    assert picture.encoding is not None
+    if quality < 50:  # above, what is lost hardly depends on it
+        fitted = picture.encoding.fitted(picture.colors, VIEW, ALPHA)
+        assert np.abs(picture.colors - fitted.applied(VIEW)).max() < 1e-6
     mask = edited_in_encoded(picture.colors, VIEW, ALPHA, picture.encoding)
     assert mask is not None and not mask.any()
 

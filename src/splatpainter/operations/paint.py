@@ -123,6 +123,12 @@ class Paint(GateOptions, PaintingOptions):
         pictures = self._checked(pictures, splats, report)
         asset = painter.encode(splats, self.method, [self.mode]) if asset.receipt is None else asset
         edits = [picture.edit(splats, self.mode) for picture in self._of_size(pictures, painter)]
+        for picture, edit in zip(pictures, edits, strict=True):
+            if picture.is_lossy and picture.mask is None and edit.mask is None and self.mode == "local":
+                report.warn(
+                    f"{picture.path}: more than its compression changed all of it, so all of it is painted anew; "
+                    "save it as PNG, or give --mask M.png"
+                )
         edited = painter.apply(asset, edits, self.mode, self.method)
         # The confidence belongs to the first asset's Gaussians; the edit may have appended others.
         if self.spread_confidence is not None:
