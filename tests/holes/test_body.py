@@ -237,20 +237,6 @@ def test_a_small_plate_stays_though_only_the_thing_on_it_touches_it() -> None:
     assert body is not None and body[is_ball].mean() > 0.95 and body[~is_ball].mean() < 0.2
 
 
-def test_what_touches_the_thing_in_a_lasso_stays() -> None:
-    """Two balls side by side, which touch: a lasso around one of them, a little too wide, from the front."""
-    floor, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
-    other = moved(sphere(0.5, (0.75, 0.3, 0.3)), (0.97, 0, 0))
-    splats = floor.append(ball).append(other)
-    row = np.arange(len(splats))
-    is_ball, is_other = (row >= len(floor)) & (row < len(floor) + len(ball)), row >= len(floor) + len(ball)
-    selected = seen_from_front(splats, 0.15)
-    assert 0 < selected[is_other].mean() < 0.2
-    body = body_of(splats, selected)
-    assert body is not None
-    assert body[is_ball].mean() > 0.95 and body[is_other].mean() < 0.05 and body[: len(floor)].mean() < 0.01
-
-
 def stool() -> tuple[Splats, Splats]:
     """(seat, four legs of another colour that stand on y = 0)."""
     seat = moved(sphere(0.5, (0.8, 0.2, 0.2)), (0, 0.35, 0))

@@ -9,9 +9,8 @@ a thing stands on the ground, hardly. A random walk over them (Grady, "Random wa
 may end anywhere, more rarely where nothing is selected (BODY.selected_share), has from all of one body about the same
 chance to end at the selection: the body is what lies above a level of chances whose border cuts few links, about the
 same above many levels. A strip of ground within a lasso is not of it: it hangs together with all the ground around, and
-a plane that goes on all around the foot of a thing is its ground (support.py). Where the selection has some of that
-plane it was drawn around a thing: what touches the thing and is hardly selected itself is another one. A border that is
-no weaker than the surface itself would be a cut through it, and what stands on nothing a part: then there is no body.
+a plane that goes on all around the foot of a thing is its ground (support.py). A border that is no weaker than the
+surface itself would be a cut through it, and what stands on nothing a part: then there is no body.
 """
 
 from __future__ import annotations
@@ -83,16 +82,6 @@ class BodyThresholds:
     """Share of what is selected, without ground, that a body has, at least."""
     same_share: float = 0.05
     """Gaussians, over those of a body, by which one at another level may differ and is the same."""
-    seen_share: float = 0.5
-    """Share of its Gaussians that is selected of a thing that is seen from one side."""
-    rival_share: float = 0.35
-    """The same from which a smaller body may be meant: a ball around a part of it selects less."""
-    rival_levels: float = 0.15
-    """Share of the levels at which a smaller body is the same from which it may be meant."""
-    rival_worth: float = 1.2
-    """Times by which more of it is selected, and as much of the selection is of it, where a lasso went around it."""
-    rival_alike: float = 0.85
-    """Share of the most of that from which the rival that is the same at the most levels is taken."""
     support_cells: float = 0.6
     """Distance from a plane within which a piece is of it, in edges of pieces."""
     support_link: float = 0.1
@@ -227,7 +216,6 @@ def _cut(
     links = links * np.where(ground.pieces[one] != ground.pieces[two], BODY.support_link, 1)
     if ground.pieces.any():
         links = np.where(ground.at_height[one] | ground.at_height[two], links, np.maximum(links, BODY.held_link))
-    goes_around = bool(ground.pieces[seen].any())
     seen = seen[~ground.pieces[seen]]
     if not len(seen):
         return np.zeros(len(chosen), bool), links
@@ -239,8 +227,7 @@ def _cut(
     most, least = (float(np.quantile(of_selected, q)) for q in (BODY.top_quantile, 1 - BODY.min_covered_share))
     low, high = BODY.level_shares[0] * most, min(BODY.level_shares[1] * most, least)
     levels = np.linspace(low, max(low, high), BODY.levels)
-    selected = pieces.counts * chosen if goes_around else None
-    is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, pieces.counts, selected)
+    is_body = _swept(one, two, links, np.where(beyond, 0, chances), levels, pieces.counts)
     return _without_crumbs(one, two, is_body, pieces.counts, ground.at_height), links
 
 
@@ -420,12 +407,10 @@ def _swept(
     chances: np.ndarray,
     levels: np.ndarray,
     counts: np.ndarray,
-    selected: np.ndarray | None = None,
 ) -> Bools:
     """[P] bool: pieces with chances above that of some levels (ascending), whose border cuts few links; of several such
     bodies that which is the same at the most levels; none where every border cuts many. counts: [P] Gaussians of each
-    piece. selected: [P] how many of these are selected, where the selection goes around a thing: then what touches the
-    thing and is hardly selected is another one."""
+    piece."""
     low, high = (np.searchsorted(levels, f(chances[one], chances[two]), "left") for f in (np.minimum, np.maximum))
     # A piece is within at levels below its chance: an edge is cut at those between its ends.
     count = len(levels)
@@ -445,16 +430,7 @@ def _swept(
     sizes = counts.sum() - np.cumsum(np.bincount(inside, counts, count + 1))[:count]
     same = np.abs(sizes - sizes[:, None]) <= BODY.same_share * sizes[:, None]
     lasting = np.where(fits, (same & fits).sum(1), 0)
-    best = int(lasting.argmax())
-    if selected is not None and fits.any():
-        taken = portable.total(selected) - np.cumsum(np.bincount(inside, selected, count + 1))[:count]
-        selected_share = taken / np.maximum(sizes, 1)
-        worth = taken * np.minimum(selected_share, BODY.seen_share)
-        may_be = fits & (lasting >= BODY.rival_levels * count) & (selected_share >= BODY.rival_share)
-        most = np.where(may_be, worth, 0).max()
-        if most > BODY.rival_worth * worth[best]:
-            best = int(np.where(may_be & (worth >= BODY.rival_alike * most), lasting, 0).argmax())
-    among = fits & same[best]
+    among = fits & same[int(lasting.argmax())]
     return chances > levels[int(np.where(among, share, np.inf).argmin())]
 
 
