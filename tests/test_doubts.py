@@ -192,23 +192,24 @@ def test_lossy_planes_of_a_sog(tmp_path: Path) -> None:
     assert text.startswith(", ".join(meta["means"]["files"]) + ": lossy WebP"), text
 
 
-def test_rotations_of_a_sog_without_their_alpha(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("plane", "doubt"),
+    [
+        ("quats.webp", "the image of the rotations has no transparency"),
+        ("sh0.webp", "the image of the colours has no transparency: every Gaussian is opaque"),
+    ],
+)
+def test_images_of_a_sog_that_lost_their_alpha(plane: str, doubt: str, tmp_path: Path) -> None:
     io.write(tmp_path / "d" / "meta.json", ball(600))
-    plane = tmp_path / "d" / "quats.webp"
-    with Image.open(plane) as image:
+    assert doubt not in lines(tmp_path / "d")
+    with Image.open(tmp_path / "d" / plane) as image:
         opaque = image.convert("RGB")
-    opaque.save(plane, "WEBP", lossless=True)
-    assert "the image of the rotations has no transparency" in lines(tmp_path / "d")
+    opaque.save(tmp_path / "d" / plane, "WEBP", lossless=True)
+    assert doubt in lines(tmp_path / "d")
 
 
-def test_opacities_of_a_sog_without_their_alpha(tmp_path: Path) -> None:
-    io.write(tmp_path / "d" / "meta.json", ball(600))
-    plane = tmp_path / "d" / "sh0.webp"
-    with Image.open(plane) as image:
-        opaque = image.convert("RGB")
-    opaque.save(plane, "WEBP", lossless=True)
-    assert "the image of the colours has no transparency: every Gaussian is opaque" in lines(tmp_path / "d")
-    # All turned alike about z: the same alpha for a reason.
+def test_rotations_alike_have_one_alpha_for_a_reason(tmp_path: Path) -> None:
+    # All turned alike about z.
     turned = replace(ball(600), quats=np.repeat(np.array([[0.1, 0, 0, 1]], np.float32), 600, 0))
     io.write(tmp_path / "e" / "meta.json", turned)
     assert "transparency" not in lines(tmp_path / "e")
