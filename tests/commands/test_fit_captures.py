@@ -18,6 +18,7 @@ from splatpainter.commands.parts.fit_photographs import (
     PosedPicture,
     first_gaussians,
     notes_on,
+    over_common_color,
     posed_pictures,
     unsure_turns,
     unused_models,
@@ -25,6 +26,7 @@ from splatpainter.commands.parts.fit_photographs import (
 from splatpainter.image_files import to_uint8
 from splatpainter.metrics import psnr
 from splatpainter.rendering import render
+from splatpainter.splats import SH_C0, Splats
 from tests.support.capture_folders import (
     brown,
     fisheye,
@@ -72,6 +74,12 @@ def nearness(posed: list[PosedPicture], draw: Callable[[Camera], np.ndarray] = d
     return min(float(psnr(draw(replace(one.camera, background=background)), one.colors)) for one in posed)
 
 
+def purple_share(splats: Splats) -> float:
+    """Of Gaussians with less green than half of what their red and blue have."""
+    red, green, blue = np.asarray(splats.sh[:, 0] * SH_C0 + 0.5).T
+    return float((2 * green < np.minimum(red, blue)).mean())
+
+
 @pytest.mark.parametrize("orientation", TURNS)
 def test_cameras_see_pixels_as_they_are_stored(orientation: int, tmp_path: Path) -> None:
     """COLMAP, nerfstudio and INRIA's trainer look at no EXIF: the pixels as stored are what their cameras are of."""
@@ -91,6 +99,24 @@ def test_cameras_of_the_turned_shape_see_turned_pixels(orientation: int, tmp_pat
         save_turned(tmp_path / name, np.ascontiguousarray(TURNS[back](to_uint8(drawn(camera)))), orientation)
     write_table(tmp_path, cameras, names)
     assert nearness(posed_pictures(tmp_path, None)) > 30
+
+
+@pytest.mark.parametrize("orientation", [5, 6, 7, 8])
+def test_masks_are_turned_as_their_photographs(orientation: int, tmp_path: Path) -> None:
+    """A mask has no EXIF: as stored, or as viewers show the photograph, whichever has the camera's shape."""
+    camera = cameras_around(1)[0]
+    back = {6: 8, 8: 6}.get(orientation, orientation)
+    save_turned(tmp_path / "a.jpg", np.ascontiguousarray(TURNS[back](to_uint8(drawn(camera)))), orientation)
+    marked = np.full(SIZE[::-1], 255, np.uint8)
+    marked[: SIZE[1] // 3, : SIZE[0] // 4] = 0
+    table = write_table(tmp_path, [camera], ["a.jpg"])
+    record = json.loads(table.read_text())
+    record["frames"][0]["mask_path"] = "mask.png"
+    table.write_text(json.dumps(record))
+    for stored in (marked, np.ascontiguousarray(TURNS[back](marked))):
+        Image.fromarray(stored).save(tmp_path / "mask.png")
+        mask = posed_pictures(tmp_path, None)[0].mask
+        assert mask is not None and ((marked > 127) == mask).mean() > 0.99
 
 
 @pytest.mark.parametrize("orientation", [2, 3, 4])
@@ -274,12 +300,31 @@ def test_what_a_mask_has_black_is_not_looked_at(lens: str, tmp_path: Path, capfd
         purple = (one.colors[..., 0] > 0.9) & (one.colors[..., 1] < 0.2) & (one.colors[..., 2] > 0.9)
         assert purple.mean() > 0.2 and not (purple & one.mask).any()
     assert "8 of the 8 photographs have a mask" in notes_on(tmp_path)[0]
+    # No first Gaussian is a person's.
+    posed = posed_pictures(tmp_path, None)
+    start = first_gaussians(tmp_path, posed, 300, 0, seed=0)[0]
+    believed = [replace(one, mask=None) for one in posed]
+    trusting = first_gaussians(tmp_path, believed, 300, 0, seed=0)[0]
+    assert purple_share(start) < 0.01 < 0.1 < purple_share(trusting)
     options = ("--steps", 80, "--rows", 300, "--sh-degree", 0, "--json", "--overwrite")
     done = run(capfd, "fit", tmp_path, "--out", tmp_path / "o.ply", *options).json
     assert done["psnr"]["held_out"] > 17 and done["psnr"]["training"] > 17
     (tmp_path / "masks" / "3.png").unlink()
     done = run(capfd, "fit", tmp_path, "--out", tmp_path / "o.ply", *options)
     assert done.code == 2 and "masks/3.png is not there" in done.err
+
+
+def test_what_lies_behind_is_told_by_edges_that_are_looked_at() -> None:
+    camera, colors = cameras_around(1)[0], np.full((*SIZE[::-1], 3), 0.7, np.float32)
+    colors[20:50, 30:60] = 0.2
+    colors[:, :20] = (1, 0, 1)
+    mask = np.ones(SIZE[::-1], bool)
+    mask[:, :20] = False
+    one = PosedPicture(camera, colors, np.ones(SIZE[::-1], bool), mask)
+    assert over_common_color([replace(one, mask=None)])[0].solid.all()
+    told = over_common_color([one])[0]
+    assert told.camera.background == pytest.approx((0.7, 0.7, 0.7), abs=1e-6)
+    assert told.mask is mask and (told.solid & mask).sum() == 30 * 30
 
 
 def test_exposures_that_the_trainer_found_are_taken_out(tmp_path: Path) -> None:

@@ -80,6 +80,8 @@ class PhotographThresholds:
 PHOTOGRAPHS = PhotographThresholds()
 HALF_TURN = 3
 """EXIF's orientation of 180 degrees."""
+INVERSE_TURNS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 6: 8, 7: 7, 8: 6}
+"""Orientation -> the one that turns back what it turns."""
 _HALF_TURNED = {1: 3, 2: 4, 3: 1, 4: 2, 5: 7, 6: 8, 7: 5, 8: 6}
 """Orientation -> the one that is as if the picture had been turned by 180 degrees besides."""
 

@@ -13,7 +13,13 @@ from splatpainter.captures import CapturedView, captured_views, exposures_of, is
 from splatpainter.captures.colmap import MODEL_FILES, model_folder, other_models, photographs_of, read_points
 from splatpainter.captures.inria import EXPOSURES
 from splatpainter.captures.nerfstudio import TABLES
-from splatpainter.gatekeeper.photographs import carries_camera, photograph_mask, read_photograph, straight_picture
+from splatpainter.gatekeeper.photographs import (
+    INVERSE_TURNS,
+    carries_camera,
+    photograph_mask,
+    read_photograph,
+    straight_picture,
+)
 from splatpainter.image_files import find_camera, picture_header
 from splatpainter.io.folders import inside
 from splatpainter.io.foreign_captures import foreign_capture
@@ -204,7 +210,11 @@ def _photograph(
     masked = view.mask_picture() if view.mask else None
     if masked is None:
         return posed
-    mask = photograph_mask(masked, (1, picture_header(path)[1]), view, all_of_it=False)
+    stored, orientation = picture_header(path)
+    if not has_aspect(stored, expected):
+        # The camera is of the turned photograph: a mask of the stored one is turned as it was, not back.
+        orientation = INVERSE_TURNS[orientation]
+    mask = photograph_mask(masked, (1, orientation), view, all_of_it=False)
     return replace(posed, mask=None if mask.all() else mask)
 
 
