@@ -322,9 +322,9 @@ def test_what_lies_behind_is_told_by_edges_that_are_looked_at() -> None:
     mask[:, :20] = False
     one = PosedPicture(camera, colors, np.ones(SIZE[::-1], bool), mask)
     assert over_common_color([replace(one, mask=None)])[0].solid.all()
-    told = over_common_color([one])[0]
-    assert told.camera.background == pytest.approx((0.7, 0.7, 0.7), abs=1e-6)
-    assert told.mask is mask and (told.solid & mask).sum() == 30 * 30
+    result = over_common_color([one])[0]
+    assert result.camera.background == pytest.approx((0.7, 0.7, 0.7), abs=1e-6)
+    assert result.mask is mask and (result.solid & mask).sum() == 30 * 30
 
 
 def test_exposures_that_the_trainer_found_are_taken_out(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def test_the_alpha_of_a_psd_is_taken_off_white(tmp_path: Path) -> None:
     path.write_bytes(psd(planes_of(LEVELS, alpha), layers=2))
     assert read_picture(path).alpha is None, "a saved selection is no transparency"
     # Without layers: Photoshop names a selection, and other programs write four channels alone.
-    for channel, is_there in ((b"Alpha 1", False), (b"Transparency", True), (b"", True)):
+    for channel, is_there in ((b"Alpha 1", False), (b"Text", False), (b"Transparency", True), (b"", True)):
         path.write_bytes(psd(planes_of(on_white, alpha), channel=channel))
         assert (read_picture(path).alpha is not None) is is_there, channel
 

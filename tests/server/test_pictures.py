@@ -17,7 +17,7 @@ from PIL import Image
 
 from splatpainter.color import srgb_to_linear
 from splatpainter.gatekeeper import crop_search
-from splatpainter.image_files import to_uint8
+from splatpainter.image_files import CAMERA_KEYWORD, encode_exr, to_uint8
 from splatpainter.lights.sky_maps import SkyMap, write_sky
 from splatpainter.pictures.lost_transparency import GROUND_NOTE
 from splatpainter.rendering import render
@@ -360,6 +360,13 @@ def test_light_that_is_no_sky_is_a_painted_view(ending: str, studio: Live, tmp_p
     assert blob is not None
     checked = studio.post("picture.check", picture=blob.sha256, name=f"broad.{ending}")
     assert checked["camera"]["width"] == 192 and 0 < checked["share"] < 0.1
+
+
+def test_a_wide_picture_that_carries_its_camera_is_no_sky(studio: Live) -> None:
+    camera, light = replace(view(), width=192, cx=96.0), np.full((96, 192, 3), 0.5, np.float16)
+    for texts, kind in (({}, "sky"), ({CAMERA_KEYWORD: camera.to_json()}, "picture")):
+        blob = studio.studio.blobs.put(encode_exr(light, ("R", "G", "B"), texts), "wide.exr")
+        assert blob.info.kind == kind
 
 
 def test_aovs_beside_a_view_are_no_edits(studio: Live, tmp_path: Path) -> None:
