@@ -36,7 +36,7 @@ from splatpainter.color import base_color, linear_to_srgb, luminance, sh_from_co
 from splatpainter.contact_sheet import Strip, sheet, write_sheet
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.prepared import captured_light, lit_surface
-from splatpainter.lights.relight import transfer
+from splatpainter.lights.relight import delight, transfer
 from splatpainter.lights.source_light import SourceLight
 from splatpainter.splats import SH_C0, Splats
 from splattrain.data.object_sources import split
@@ -347,11 +347,9 @@ def flat_by(row: str, case: LightCase) -> Splats | None:
         return None
     if row == "nothing":
         return case.asset
-    before = SourceLight(case.before, 0.0, "true") if row == "true source" else captured_light(case.asset, up="+y")
-    surface = _with_true_normals(case) if row == "ours, true normals" else lit_surface(case.asset)
-    light = to_light(base_color(case.asset.sh), case.asset.color_space)
-    # White light that meets no obstacle is 1 everywhere: the ratio of `delight`.
-    return _recolored(case.asset, light / np.maximum(surface.from_sky(before.coefficients), 0.02))
+    source = SourceLight(case.before, 0.0, "true") if row == "true source" else None
+    surface = _with_true_normals(case) if row == "ours, true normals" else None
+    return delight(case.asset, source=source, up="+y", surface=surface).splats
 
 
 def albedo_psnr(row: str, case: LightCase) -> float | None:

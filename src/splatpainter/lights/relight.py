@@ -22,6 +22,7 @@ from splatpainter.color import base_color, display_slope, linear_to_srgb, lumina
 from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
 from splatpainter.lighting import unoccluded_transfer
+from splatpainter.lights.bare_colors import lit_side, white_light
 from splatpainter.lights.facing import MIN_FLAT_SHARE, ORIENTATION
 from splatpainter.lights.gloss import GLOSS, gloss_of, mirrored_light
 from splatpainter.lights.irradiance import LitSurface
@@ -112,12 +113,15 @@ def delight(
     *,
     mix: float = 1.0,
     shadows: bool = True,
-    source: SkyMap | None = None,
+    source: SkyMap | SourceLight | None = None,
     up: UpAxis = "auto",
     unlit: np.ndarray | None = None,
+    surface: LitSurface | None = None,
 ) -> Asset:
-    """As `relight`, under white light from all around that meets no obstacle: the colours of the materials, nearly."""
-    return _edited(splats, Lights(up=up), region, mix, shadows, source, "delight", unlit=unlit)
+    """As `relight`, under white light from all around that meets no obstacle, as bright as the lit side was: the
+    colours of the materials, nearly (`bare_colors`). source: a sky, or SH in the asset's axes; surface: as of
+    `transfer`."""
+    return _edited(splats, Lights(up=up), region, mix, shadows, source, "delight", surface=surface, unlit=unlit)
 
 
 def transfer(
@@ -174,7 +178,12 @@ def _edited(
         gain = light_gain(splats.sh, unlit, splats.color_space)
         old, visible = np.maximum((old + FLOOR) * gain - FLOOR, 0), captured_light(splats, shadows, lights.up)
     if mode == "delight":
-        now, new = uniform_coefficients(), np.ones((len(splats), 3))
+        brightness = lit_side(before.coefficients)
+        # Of the captured light alone: what other lights have put on top of it goes as it came.
+        captured = to_light(base_color(splats.sh if unlit is None else unlit).astype(np.float64), splats.color_space)
+        received = surface.from_sky(before.coefficients)
+        now = brightness * uniform_coefficients()
+        new = white_light(captured, received, before.uncertainty, brightness, FLOOR)
     elif after is not None:
         now, new = after, surface.from_sky(after)
     else:
