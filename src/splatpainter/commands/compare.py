@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from tyro.conf import Positional, arg
 
 from splatpainter.cameras import Camera, UpAxis, orbit_cameras
 from splatpainter.color import from_display, to_display
 from splatpainter.commands import Outcome
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import CameraFiles
 from splatpainter.commands.parts.terminal import count, decibels, progress, to_json
 from splatpainter.commands.parts.view_options import BACKGROUND, MAX_VIEWS, check_ranges, color, given_cameras, rgb
@@ -52,19 +52,19 @@ class Config:
       splatpainter compare vase.ply vase.sog --out compared --camera views/view_003.json --profile playcanvas
     """
 
-    first: Annotated[Positional[Path], arg(metavar="A")]
+    first: Annotated[Positional[Path], Argument(metavar="A")]
     """The first asset."""
-    second: Annotated[Positional[Path], arg(metavar="B")]
+    second: Annotated[Positional[Path], Argument(metavar="B")]
     """The second asset."""
-    out: Annotated[Path, arg(metavar="DIR")]
+    out: Annotated[Path, Argument(metavar="DIR")]
     """Folder for view_000.png, ..., sheet.png and compare.json; made if missing."""
     views: int = 8
     """How many views around the first asset."""
     camera: CameraFiles = ()
     """Use these cameras instead (CAM.json, pictures that carry one, or FILE[:N] of a capture)."""
-    size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    size: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 512, or what the camera says."""
-    background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
+    background: Annotated[str | None, Argument(metavar="R,G,B", help_behavior_hint="")] = None
     """Colour behind both, 0..1 or #rrggbb; default: 0.25,0.25,0.25, or what the camera says."""
     profile: Profile = "inria"
     """Which renderer to match, as in `render`."""

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from tyro.conf import Positional, arg
 
 from splatpainter.cameras import AUTO_UP, UPS, orbit_cameras
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import count, size, stages
 from splatpainter.io import axes_are_news, axes_line, chosen_axes, files, read, write, written_axes
@@ -48,24 +48,24 @@ class Config:
 
     asset: AssetFile
     """The file to read."""
-    out: Annotated[Positional[Path], arg(metavar="OUT")]
+    out: Annotated[Positional[Path], Argument(metavar="OUT")]
     """The file to write."""
     in_axes: InAxesOption = "auto"
     """Axes of the file's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""
     axes: AxesOption = "auto"
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
-    sh_degree: Annotated[int | None, arg(metavar="0-4")] = None
+    sh_degree: Annotated[int | None, Argument(metavar="0-4")] = None
     """Leave out SH bands above this degree; default: what ASSET has."""
-    antialiased: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
+    antialiased: Annotated[Literal["auto", "yes", "no"], Argument(metavar="auto|yes|no")] = "auto"
     """Mark OUT as trained antialiased (Mip-Splatting), or as not; auto: as ASSET is marked."""
-    spz_version: Annotated[int | None, arg(metavar="2|3|4")] = None
+    spz_version: Annotated[int | None, Argument(metavar="2|3|4")] = None
     """Version of an .spz: 3 opens in nearly every program, 2 in GaussianSplats3D too, 4 is about a tenth smaller;
     default: that of ASSET, else 3."""
-    sh_bits: Annotated[int | None, arg(metavar="4-8")] = None
+    sh_bits: Annotated[int | None, Argument(metavar="4-8")] = None
     """Bits of each SH coefficient of an .spz; 4 gives the smallest file; default: 7."""
-    sh_palette: Annotated[int | None, arg(metavar="64-65536")] = None
+    sh_palette: Annotated[int | None, Argument(metavar="64-65536")] = None
     """Most SH vectors of a .sog; fewer make it smaller; default: half as many as rows, or more."""
-    mark_axes: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
+    mark_axes: Annotated[Literal["auto", "yes", "no"], Argument(metavar="auto|yes|no")] = "auto"
     """Whether an .spz names its axes; few programs obey that, and some turn it twice. auto: those that are not the
     PLY's, and of ASSET's own where it does."""
     sort: bool = False

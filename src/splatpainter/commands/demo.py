@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from tyro.conf import arg
 
 from splatpainter.cameras import Camera, look_at
 from splatpainter.commands import Outcome, edit
 from splatpainter.commands.parts.demo_paint import evening, painted
 from splatpainter.commands.parts.demo_sheet import Panel, animation, overview
+from splatpainter.commands.parts.option_marks import Argument
 from splatpainter.commands.parts.terminal import decibels, size, stages
 from splatpainter.io import files, read, write
 from splatpainter.kernels.portable import arctan2, cos, hypot, length, sin
@@ -41,9 +41,9 @@ class Config:
       splatpainter demo --out demo
     """
 
-    out: Annotated[Path, arg(metavar="DIR")] = Path("demo")
+    out: Annotated[Path, Argument(metavar="DIR")] = Path("demo")
     """Folder; made if missing, files of the same names are replaced."""
-    size: Annotated[int, arg(metavar="PX")] = 800
+    size: Annotated[int, Argument(metavar="PX")] = 800
     """Pixels of the pictures' edges."""
     json: bool = False
     """Print one JSON object instead of text."""

@@ -8,10 +8,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional, arg
-
 from splatpainter.commands import Outcome
 from splatpainter.commands.info import file_size
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import OutFile
 from splatpainter.commands.parts.terminal import BAR_DELAY_SECONDS, count, decibels, seconds, size, warn, watched
 from splatpainter.output_paths import check_target, placed, splat_format
@@ -51,7 +50,7 @@ class Config:
       splatpainter fit photos/ --out scene.ply --size 512
     """
 
-    source: Annotated[Positional[Path], arg(metavar="SOURCE")]
+    source: Annotated[Positional[Path], Argument(metavar="SOURCE")]
     """Mesh, splat file or folder of pictures."""
     out: OutFile
     """The splat file to write; its name says the format."""
@@ -67,7 +66,7 @@ class Config:
     """Views rendered around a mesh or an asset, to fit to."""
     held_out: int = 8
     """Further views that only judge the result; of a folder's pictures, at most a quarter."""
-    size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    size: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 256, or what the pictures have."""
     sh_degree: int = 2
     """SH degree of the view-dependent colour, 0 to 4."""
@@ -75,7 +74,7 @@ class Config:
     """Equal seeds and options give equal Gaussians on the CPU."""
     truth: Literal["surfels", "traced"] = "surfels"
     """How a mesh is rendered: as dense Gaussians (seconds), or path traced by Mitsuba."""
-    environment: Annotated[Path | None, arg(metavar="HDR", help_behavior_hint="")] = None
+    environment: Annotated[Path | None, Argument(metavar="HDR", help_behavior_hint="")] = None
     """Light on a mesh (.hdr, .exr); default: the same from everywhere."""
     surfels: int = 200_000
     """Dense Gaussians that a mesh is rendered from."""

@@ -10,9 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
-
 from splatpainter.commands import Outcome
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.terminal import count, seconds, stages
 from splatpainter.io import axes_news, files, read
 from splatpainter.output_paths import check_target, placed, receipt_of, splat_format
@@ -37,11 +36,11 @@ class Config:
       splatpainter verify scene.ply --against table.ply vase.ply
     """
 
-    assets: Annotated[Positional[tuple[Path, ...]], arg(metavar="ASSET ASSET ...")]
+    assets: Annotated[Positional[tuple[Path, ...]], Argument(metavar="ASSET ASSET ...")]
     """The files to merge, of any formats; they are not changed."""
-    out: Annotated[Path, arg(metavar="OUT")]
+    out: Annotated[Path, Argument(metavar="OUT")]
     """The file to write."""
-    transform: Annotated[tuple[str, ...], arg(metavar="TRANSFORM ...", help_behavior_hint="")] = ()
+    transform: Annotated[tuple[str, ...], Argument(metavar="TRANSFORM ...", help_behavior_hint="")] = ()
     """One TRANSFORM for each asset, in order; default: all stay as they are."""
     side_by_side: bool = False
     """Set each asset to the right of the one before it, after its transform."""
@@ -52,7 +51,7 @@ class Config:
     """World units from the seam over which the match fades out; 0: it holds for the whole asset."""
     lenient: bool = False
     """Also open files that were cut off after their last complete row."""
-    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    receipt: Annotated[Path | None, Argument(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False
     """Replace OUT and the receipt if they exist."""

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from tyro.conf import arg
 
 from splatpainter.color import srgb_to_linear
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_marks import Argument
 from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.extras import require
@@ -40,7 +40,7 @@ class Config:
 
     asset: AssetFile
     """The splat file; it is not changed."""
-    out: Annotated[Path, arg(metavar="PROXY.glb")]
+    out: Annotated[Path, Argument(metavar="PROXY.glb")]
     """The file to write."""
     triangles: int = 20_000
     """Triangles, at most about; 2,000 or more, with --decimate 100 or more."""
@@ -49,7 +49,7 @@ class Config:
     (needs fast-simplification, the extra `mesh`)."""
     colors: bool = False
     """Colours of the asset at the vertices."""
-    texture: Annotated[int, arg(metavar="PX")] = 0
+    texture: Annotated[int, Argument(metavar="PX")] = 0
     """The asset's look on the mesh, as a picture of so many pixels inside the file; its triangles then share no
     vertices. 0: none."""
     axes: Literal["rub", "rdf"] = "rub"

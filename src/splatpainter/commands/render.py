@@ -7,11 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import arg
-
 from splatpainter.cameras import Camera, UpAxis
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_marks import Argument
 from splatpainter.commands.parts.option_parsing import AssetFile, CameraFiles, InAxesOption
 from splatpainter.commands.parts.terminal import count, progress
 from splatpainter.commands.parts.view_options import (
@@ -48,7 +47,7 @@ class Config:
 
     asset: AssetFile
     """The splat file, or a folder of INRIA's trainer (its last iteration)."""
-    out: Annotated[Path, arg(metavar="DIR")]
+    out: Annotated[Path, Argument(metavar="DIR")]
     """Folder for view_000.png, view_000.json, ...; made if missing."""
     views: int = 8
     """How many views around the asset."""
@@ -56,22 +55,22 @@ class Config:
     """Use these cameras instead: CAM.json, PNGs that carry one, cameras.json, transforms.json, camera_path.json or
     COLMAP's sparse/0, all of these or the one that :N behind it names by number or picture; --views, --up and so on are
     then ignored."""
-    size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    size: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side, up to 8192; default: 800, or what the camera says."""
-    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    width: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """Pixels; with --height, in place of --size: views around the asset that are not square."""
-    height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    height: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """See --width."""
-    background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
+    background: Annotated[str | None, Argument(metavar="R,G,B", help_behavior_hint="")] = None
     """Colour behind the asset, 0..1 or #rrggbb; default: 0.25,0.25,0.25, or what the camera says."""
-    transparent: Annotated[Literal["straight", "premultiplied"] | None, arg(help_behavior_hint="")] = None
+    transparent: Annotated[Literal["straight", "premultiplied"] | None, Argument(help_behavior_hint="")] = None
     """No background but an alpha channel; colours as they are (what painting programs expect of a PNG), or multiplied
     by alpha (EXR always)."""
     format: Literal["png", "exr"] = "png"
     """PNG of display colours, or EXR of linear light."""
-    bits: Annotated[Literal["8", "16", "32"] | None, arg(help_behavior_hint="")] = None
+    bits: Annotated[Literal["8", "16", "32"] | None, Argument(help_behavior_hint="")] = None
     """Bits of each colour sample: PNG 8 (default) or 16, EXR 16 (default) or 32."""
-    aov: Annotated[str, arg(metavar="NAMES", help_behavior_hint="")] = ""
+    aov: Annotated[str, Argument(metavar="NAMES", help_behavior_hint="")] = ""
     """More files beside each picture, separated by commas: alpha, depth, normal, gaussian-ids. Depth and normal are
     those of the surface that edits are painted on; weighted means over Gaussians where no surface is trusted."""
     profile: Profile = "inria"
@@ -86,7 +85,7 @@ class Config:
     """Degrees above the horizon."""
     fov: float = 40.0
     """Vertical field of view, degrees."""
-    distance: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
+    distance: Annotated[float | None, Argument(metavar="FLOAT", help_behavior_hint="")] = None
     """Camera's distance from the asset's centre, world units; default: so that it fills the picture."""
     overwrite: bool = False
     """Replace pictures that exist, even if they were painted on."""

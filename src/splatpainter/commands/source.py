@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from tyro.conf import Positional, arg
 
 from splatpainter.commands import Outcome
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import parse
 from splatpainter.commands.parts.terminal import BAR_DELAY_SECONDS, watched
 from splatpainter.image_files import encode_png, find_camera, quantized
@@ -28,9 +28,9 @@ SUMMARIES = {
     "list": "list the sources, what each takes, and what each still needs",
     "try": "send one picture through a source, and write the result",
 }
-SourceName: TypeAlias = Annotated[Positional[str], arg(metavar="NAME")]
-SourceOptions: TypeAlias = Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")]
-Pictures: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="PICTURE ...", help_behavior_hint="")]
+SourceName: TypeAlias = Annotated[Positional[str], Argument(metavar="NAME")]
+SourceOptions: TypeAlias = Annotated[tuple[str, ...], Argument(metavar="KEY=VALUE ...", help_behavior_hint="")]
+Pictures: TypeAlias = Annotated[tuple[Path, ...], Argument(metavar="PICTURE ...", help_behavior_hint="")]
 
 
 def dispatch(words: Sequence[str]) -> Outcome:
@@ -59,7 +59,7 @@ class SourceListConfig:
       splatpainter source list openai
     """
 
-    names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME ...", help_behavior_hint="")] = ()
+    names: Annotated[Positional[tuple[str, ...]], Argument(metavar="NAME ...", help_behavior_hint="")] = ()
     """Only these, with their options."""
     json: bool = False
     """Print one JSON object instead of text."""
@@ -77,17 +77,17 @@ class SourceTryConfig:
 
     name: SourceName
     """Name of the source (splatpainter source list)."""
-    picture: Annotated[Positional[Path], arg(metavar="PICTURE")]
+    picture: Annotated[Positional[Path], Argument(metavar="PICTURE")]
     """The picture to be edited: PNG, JPEG, WebP, TIFF or OpenEXR."""
-    out: Annotated[Path, arg(metavar="OUT.png")]
+    out: Annotated[Path, Argument(metavar="OUT.png")]
     """The file to write, a PNG."""
-    prompt: Annotated[str, arg(metavar="TEXT")] = ""
+    prompt: Annotated[str, Argument(metavar="TEXT")] = ""
     """What the source should do to the picture."""
-    mask: Annotated[Path | None, arg(metavar="M.png", help_behavior_hint="")] = None
+    mask: Annotated[Path | None, Argument(metavar="M.png", help_behavior_hint="")] = None
     """Mask: only what is not black may change."""
     reference: Pictures = ()
     """Reference pictures for the source."""
-    seed: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    seed: Annotated[int | None, Argument(metavar="INT", help_behavior_hint="")] = None
     """Seed of the source's random numbers."""
     scale: int = 1
     """Factor by which the source enlarges the picture."""

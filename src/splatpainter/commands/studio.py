@@ -7,9 +7,8 @@ import threading
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
-
 from splatpainter.commands import Outcome
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import InAxesOption
 from splatpainter.commands.parts.terminal import complain
 from splatpainter.system.quick_dataclass import dataclass
@@ -25,16 +24,16 @@ class Config:
       splatpainter studio vase.splatproj
     """
 
-    asset: Annotated[Positional[Path | None], arg(metavar="ASSET|PROJECT")] = None
+    asset: Annotated[Positional[Path | None], Argument(metavar="ASSET|PROJECT")] = None
     """A splat file, a folder of INRIA's trainer or a .splatproj project; without one, the demo asset."""
     in_axes: InAxesOption = "auto"
     """Axes of a splat file's numbers: rub is y up, rdf y down; auto: what it says, else what its format has. In the
     page, one click turns an asset that is upside down."""
-    port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
+    port: Annotated[int | None, Argument(metavar="PORT", help_behavior_hint="")] = None
     """Port to listen on; default: 8750, or the next one that is free."""
-    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    host: Annotated[str, Argument(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen on. Any but this machine's own needs a token, which is printed."""
-    folder: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    folder: Annotated[Path | None, Argument(metavar="DIR", help_behavior_hint="")] = None
     """The one folder whose files the page may open and save; pictures saved there are offered as edits."""
     no_browser: bool = False
     """Only print the address."""

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from tyro.conf import arg
 
 from splatpainter.cameras import AUTO_UP, UPS, UpAxis, bounding_sphere
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_marks import Argument
 from splatpainter.commands.parts.option_parsing import AssetFile, InAxesOption, OutFile
 from splatpainter.commands.parts.terminal import progress, size
 from splatpainter.commands.parts.view_options import check_ranges, check_ring, color, given_camera, ring_of_views
@@ -56,24 +56,24 @@ class Config:
     """Frames per second."""
     degrees: float = 360.0
     """How far it turns, counter-clockwise seen from above; negative: the other way."""
-    camera: Annotated[Path | None, arg(metavar="CAM.json", help_behavior_hint="")] = None
+    camera: Annotated[Path | None, Argument(metavar="CAM.json", help_behavior_hint="")] = None
     """The first view (CAM.json, a PNG that carries one, or FILE:N of a capture); --elevation, --fov and --distance are
     then ignored."""
-    hdri: Annotated[str, arg(metavar="SKY")] = ""
+    hdri: Annotated[str, Argument(metavar="SKY")] = ""
     """Light the asset by this environment, as `splatpainter light --hdri`."""
-    sun: Annotated[tuple[str, ...], arg(metavar="LIGHT ...")] = ()
+    sun: Annotated[tuple[str, ...], Argument(metavar="LIGHT ...")] = ()
     """Light it by suns, as `splatpainter light --sun`."""
-    rig: Annotated[str, arg(metavar="RIG")] = ""
+    rig: Annotated[str, Argument(metavar="RIG")] = ""
     """Light it by a rig, as `splatpainter light --rig`."""
     turns: Literal["camera", "lights", "both"] = "camera"
     """What turns: the camera, the lights about the asset, or both."""
-    size: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    size: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """Pixels of the longer side; default: 800, or what the camera says. MP4 has an even number of rows and columns."""
-    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    width: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """Pixels; with --height, in place of --size."""
-    height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    height: Annotated[int | None, Argument(metavar="PX", help_behavior_hint="")] = None
     """See --width."""
-    background: Annotated[str | None, arg(metavar="R,G,B", help_behavior_hint="")] = None
+    background: Annotated[str | None, Argument(metavar="R,G,B", help_behavior_hint="")] = None
     """Colour behind the asset, 0..1 or #rrggbb; default: 0.25,0.25,0.25, or what the camera says."""
     transparent: bool = False
     """No background (WebP only)."""
@@ -91,7 +91,7 @@ class Config:
     """Degrees above the horizon."""
     fov: float = 40.0
     """Field of view of the shorter side, degrees."""
-    distance: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
+    distance: Annotated[float | None, Argument(metavar="FLOAT", help_behavior_hint="")] = None
     """Camera's distance from the asset's centre, world units; default: so that it fills the picture."""
     overwrite: bool = False
     """Replace OUT if it exists."""

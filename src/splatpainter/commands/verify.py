@@ -6,9 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
-
 from splatpainter.commands import Outcome
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import count, stages
 from splatpainter.output_paths import receipt_of
@@ -35,13 +34,13 @@ class Config:
       splatpainter verify scene.ply --against table.ply vase.ply
     """
 
-    original: Annotated[Positional[Path], arg(metavar="ORIGINAL")]
+    original: Annotated[Positional[Path], Argument(metavar="ORIGINAL")]
     """The asset before the edit; with --against, the merged asset."""
-    edited: Annotated[Positional[Path | None], arg(metavar="EDITED", help_behavior_hint="")] = None
+    edited: Annotated[Positional[Path | None], Argument(metavar="EDITED", help_behavior_hint="")] = None
     """The edited asset."""
-    against: Annotated[tuple[Path, ...], arg(metavar="ASSET ...", help_behavior_hint="")] = ()
+    against: Annotated[tuple[Path, ...], Argument(metavar="ASSET ...", help_behavior_hint="")] = ()
     """The files that a merged asset was made of, in any order."""
-    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    receipt: Annotated[Path | None, Argument(metavar="R.json", help_behavior_hint="")] = None
     """The receipt; default: EDITED.receipt.json where it exists."""
     in_axes: InAxesOption = "auto"
     """Axes of ORIGINAL's numbers: rub is y up, rdf y down; auto: what the file says, else what its format has."""

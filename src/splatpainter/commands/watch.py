@@ -8,10 +8,9 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
-
 from splatpainter.commands import Outcome
 from splatpainter.commands.parts.asset_doubts import warn_of_doubts
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import AxesOption, InAxesOption
 from splatpainter.commands.parts.terminal import complain, count, decibels, warn
 from splatpainter.gatekeeper.photographs import laid_over, picture_edit
@@ -48,11 +47,11 @@ class Config:
     (views made by splatpainter render vase.ply --out views; paint on them in any editor)
     """
 
-    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    folder: Annotated[Positional[Path], Argument(metavar="DIR")]
     """The folder to watch."""
-    asset: Annotated[Path, arg(metavar="ASSET")]
+    asset: Annotated[Path, Argument(metavar="ASSET")]
     """The splat file that the pictures show; it is not changed."""
-    out: Annotated[Path, arg(metavar="OUT")]
+    out: Annotated[Path, Argument(metavar="OUT")]
     """The file to write; its name says the format. It must lie outside of DIR or not be a picture."""
     mode: Mode = "local"
     """local: only what was painted changes. global: a regraded or relit picture changes the whole asset."""
@@ -62,17 +61,17 @@ class Config:
     """Paint with pictures that differ from their view everywhere as they are."""
     method: Method = "auto"
     """Method of the edit, as in splatpainter edit."""
-    preset: Annotated[str, arg(metavar="NAME|DIR")] = "auto"
+    preset: Annotated[str, Argument(metavar="NAME|DIR")] = "auto"
     """Weights, as in splatpainter edit."""
     in_axes: InAxesOption = "auto"
     """Axes of ASSET's numbers."""
     axes: AxesOption = "auto"
     """Axes of OUT's numbers."""
-    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    receipt: Annotated[Path | None, Argument(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     once: bool = False
     """End after the first picture that was lifted."""
-    timeout: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")] = None
+    timeout: Annotated[float | None, Argument(metavar="SECONDS", help_behavior_hint="")] = None
     """End after so many seconds; an error where nothing was lifted until then."""
     overwrite: bool = False
     """Replace OUT and the receipt if they exist at the start."""

@@ -12,9 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, arg
-
 from splatpainter.commands import Outcome
+from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.terminal import count, progress
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -45,11 +44,11 @@ class Config:
       splatpainter batch shoes.yaml --dry-run
     """
 
-    jobs: Annotated[Positional[Path], arg(metavar="JOBS.yaml")]
+    jobs: Annotated[Positional[Path], Argument(metavar="JOBS.yaml")]
     """The jobs to do; paths in this file are relative to it."""
     workers: int = 1
     """Worker processes; with --ray and an address: how many jobs at a time (1: as many as the cluster has CPUs)."""
-    ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]", help_behavior_hint="")] = None
+    ray: Annotated[tuple[str, ...] | None, Argument(metavar="[ADDRESS]", help_behavior_hint="")] = None
     """Spread jobs by Ray: over the cluster at ADDRESS (auto, HOST:PORT, ray://HOST:PORT), or a local Ray."""
     dry_run: bool = False
     """Check the file and print what would be done."""

@@ -8,10 +8,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from tyro.conf import arg
-
 import splatpainter.session  # noqa: F401 - whose files regions and looks may name
 from splatpainter.commands import Outcome
+from splatpainter.commands.parts.option_marks import Argument
 from splatpainter.commands.parts.option_parsing import AssetFile, AxesOption, InAxesOption, OutFile, option_name
 from splatpainter.commands.parts.terminal import SourceBar, complain, count, decibels, seconds, stages, warn
 from splatpainter.operations.file_options import FileOptions, Worder, check_to_file
@@ -45,7 +44,7 @@ class FileArguments:
     """Axes of OUT's numbers; auto: those of ASSET if both are of one format, else what OUT's format has."""
     lenient: bool = False
     """Also open a file that was cut off after its last complete row; what is left of the cut part is kept."""
-    receipt: Annotated[Path | None, arg(metavar="R.json", help_behavior_hint="")] = None
+    receipt: Annotated[Path | None, Argument(metavar="R.json", help_behavior_hint="")] = None
     """Where the receipt goes; default: OUT.receipt.json."""
     overwrite: bool = False
     """Replace OUT and the receipt if they exist."""

@@ -1,4 +1,5 @@
-"""Command-line words to a Config, by tyro; its framed complaints become one line. Knows no command."""
+"""Command-line words to a Config, by tyro where they are not plain (quick_options.py); its framed complaints become one
+line. Knows no command."""
 
 from __future__ import annotations
 
@@ -10,25 +11,24 @@ import io
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, TypeAlias, get_type_hints
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
-import tyro
-from tyro.conf import Positional, arg
-
+from splatpainter.commands.parts.option_marks import BY_POSITION, Argument, Positional
+from splatpainter.commands.parts.quick_options import quick_config
 from splatpainter.operations.operation import option_texts
 from splatpainter.splats import Axes
 
 OLD_OPTIONS = {"--axes": "--out-frame", "--in-axes": "--frame"}
 """What options were called; scripts may still say it."""
-AssetFile: TypeAlias = Annotated[Positional[Path], arg(metavar="ASSET")]
-OutFile: TypeAlias = Annotated[Path, arg(metavar="OUT")]
-CameraFiles: TypeAlias = Annotated[tuple[Path, ...], arg(metavar="CAM.json[:N] ...", help_behavior_hint="")]
-InAxesOption: TypeAlias = Annotated[Axes, arg(metavar="auto|rub|rdf", aliases=(OLD_OPTIONS["--in-axes"],))]
+AssetFile: TypeAlias = Annotated[Positional[Path], Argument(metavar="ASSET")]
+OutFile: TypeAlias = Annotated[Path, Argument(metavar="OUT")]
+CameraFiles: TypeAlias = Annotated[tuple[Path, ...], Argument(metavar="CAM.json[:N] ...", help_behavior_hint="")]
+InAxesOption: TypeAlias = Annotated[Axes, Argument(metavar="auto|rub|rdf", aliases=(OLD_OPTIONS["--in-axes"],))]
 """Which way the numbers of a file point: rub is right-up-back (y up), rdf right-down-front (y down)."""
-AxesOption: TypeAlias = Annotated[Axes, arg(metavar="auto|rub|rdf", aliases=(OLD_OPTIONS["--axes"],))]
+AxesOption: TypeAlias = Annotated[Axes, Argument(metavar="auto|rub|rdf", aliases=(OLD_OPTIONS["--axes"],))]
 """The same of a file that is written."""
 NOT_A_NUMBER = (
     (r"invalid literal for int\(\) with base 10: (.*)$", "a whole number"),
@@ -45,8 +45,19 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
     """An instance of the dataclass `kind` from command-line words.
 
     Raises ValueError with tyro's complaint in one line; --help prints the help and raises SystemExit(0)."""
-    words = _out_by_place(kind, words)
+    hints = get_type_hints(kind, include_extras=True)
+    words = _out_by_place(hints, words)
+    config = quick_config(kind, words, hints)
+    if config is not None:
+        return config
     _refuse_repeats_and_typos(kind, program, words)
+    return parsed_by_tyro(kind, program, words)
+
+
+def parsed_by_tyro(kind: type, program: str, words: Sequence[str]) -> Any:
+    """As `parse`, whatever the words are."""
+    import tyro  # a third of the time of a small command, and most lines are plain
+
     marks = (tyro.conf.FlagCreatePairsOff,)
     asks_for_help = "--help" in words or "-h" in words
     described = _described(kind, asks_for_help)
@@ -67,11 +78,11 @@ def parse(kind: type, program: str, words: Sequence[str]) -> Any:
         raise ValueError(f"{program}: {unboxed(box.getvalue(), program)}; see {program} --help") from None
 
 
-def _out_by_place(kind: type, words: Sequence[str]) -> list[str]:
+def _out_by_place(hints: Mapping[str, Any], words: Sequence[str]) -> list[str]:
     """The words with `--out FILE` as the last place, where the output has a place: all other commands call it --out,
     and so do hands."""
     rest = list(words)
-    has_place = Positional in getattr(get_type_hints(kind, include_extras=True).get("out"), "__metadata__", ())
+    has_place = BY_POSITION in getattr(hints.get("out"), "__metadata__", ())
     at = next((k for k, word in enumerate(rest) if word == "--out" or word.startswith("--out=")), None)
     if not has_place or at is None:
         return rest
@@ -86,6 +97,8 @@ def _described(kind: type, with_texts: bool) -> type:
     """The class as tyro is to see it: what `operations.operation.parameter` says of a field becomes an annotation.
     with_texts: docstrings of options, too, lose their line breaks, which tyro keeps beside its own; reading them takes
     time that only people who ask for help have, and so does the text of the class, which tyro would parse each time."""
+    from tyro.conf import arg
+
     hints = get_type_hints(kind, include_extras=True)
     texts = option_texts(kind) if with_texts else {}
     annotations: dict[str, Any] = {}
@@ -100,9 +113,9 @@ def _described(kind: type, with_texts: bool) -> type:
                 values["help_behavior_hint"] = ""
         if says.get("option"):
             values["name"] = says["option"].replace("_", "-")
-        hint = Positional[hint] if says.get("positional") else hint
-        if values or says.get("positional"):
-            annotations[field.name] = Annotated[hint, arg(**values)]
+        marked = _marked_for_tyro(Positional[hint] if says.get("positional") else hint)
+        if values or marked is not hint:
+            annotations[field.name] = Annotated[marked, arg(**values)] if values else marked
     if with_texts and not annotations:
         return kind
     # What classes share (their keyword-only fields) comes after what is peculiar to each.
@@ -110,6 +123,25 @@ def _described(kind: type, with_texts: bool) -> type:
     members = {"__annotations__": annotations, "__module__": kind.__module__, "__dataclass_fields__": order}
     members["__doc__"] = kind.__doc__ if with_texts else None
     return type(kind.__name__, (kind,), members)
+
+
+def _marked_for_tyro(hint: Any) -> Any:
+    """A type with tyro's marks in place of ours."""
+    from tyro import conf
+
+    if get_origin(hint) is not Annotated:
+        return hint
+    hint, *marks = get_args(hint)
+    for mark in marks:
+        if mark is BY_POSITION:
+            hint = conf.Positional[hint]
+        elif isinstance(mark, Argument):
+            hint = Annotated[
+                hint, conf.arg(**{name: value for name, value in mark._asdict().items() if value not in (None, ())})
+            ]
+        else:
+            hint = Annotated[hint, mark]
+    return hint
 
 
 def unboxed(text: str, program: str) -> str:
