@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from splatpainter.operations import to_file
 from splatpainter.operations.operation import Operation, Wording, kinds, operation_class, operation_of
 from splatpainter.operations.to_file import apply_to_file
 from splatpainter.painter import Asset
+from splatpainter.splats import rows_sha256
+from splatpainter.surface.estimate import Surface
 from tests.support.cli_scenes import BOX, Capture, ball, listing, paint, run, saved
 
 HERE = Path("c.json")
@@ -124,6 +127,26 @@ def test_idle_memory_goes_back_before_the_file_is_read_again(folder: Path, monke
         monkeypatch.setattr(module, name, noted)
     assert apply_to_file(Path("ball.ply"), [sp.Paint((Path("painted.png"),))], Path("out.ply")).verification.ok
     assert order == ["write", "return_idle_memory", "read"]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_the_surface_is_made_once_beside_the_pictures(
+    threads: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATPAINTER_THREADS", str(threads))
+    makers: list[str] = []
+    before = Surface.of
+
+    def noted(splats: sp.Splats) -> Surface:
+        makers.append(threading.current_thread().name)
+        return before(splats)
+
+    monkeypatch.setattr(Surface, "of", noted)
+    edited = sp.Paint((Path("painted.png"),)).apply(Asset(sp.read("ball.ply")))
+    assert makers == [threading.current_thread().name if threads == 1 else "splatpainter beside"]
+    monkeypatch.setenv("SPLATPAINTER_THREADS", "1")
+    alone = sp.Paint((Path("painted.png"),)).apply(Asset(sp.read("ball.ply")))
+    assert rows_sha256(edited.splats) == rows_sha256(alone.splats)
 
 
 def test_pictures_decals_and_operations_in_one_call(folder: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from splatpainter.kernels.parallel import alone, beside
 from splatpainter.operations.operation import AS_PYTHON, ReadyOperation, Report, ReportedView, Tools, Wording, parameter
 from splatpainter.operations.painting_options import GateOptions, PaintingOptions
 from splatpainter.painting.edited_picture import MAX_VIEWS, Mode
@@ -115,13 +116,18 @@ class Paint(GateOptions, PaintingOptions):
 
     def _painted(self, asset: Asset, pictures: list[PictureFile], painter: Painter, report: Report) -> Asset:
         splats = asset.splats
+        # What the edit will ask of the asset whatever the pictures hold, on another CPU while they are looked at.
+        ready = beside(lambda: _prepare(asset, self.mode))
         # Looked at before anything is encoded: a camera that sees nothing makes an edit of nothing.
         _check_views(pictures, splats)
         # Only a warning: what differs from the other asset counts as paint, and may be meant so.
         _warn_of_other_assets(pictures, splats, report)
         # Pictures are put right, refused or let through first; after that the painter takes them as they are.
         pictures = self._checked(pictures, splats, report)
-        asset = painter.encode(splats, self.method, [self.mode]) if asset.receipt is None else asset
+        ready()
+        if asset.receipt is None:
+            encoded = painter.encode(splats, self.method, [self.mode])
+            asset = encoded.with_surface_of(asset) if encoded.splats is asset.splats else encoded
         edits = [picture.edit(splats, self.mode) for picture in self._of_size(pictures, painter)]
         for picture, edit in zip(pictures, edits, strict=True):
             if picture.is_lossy and picture.mask is None and edit.mask is None and self.mode == "local":
@@ -161,6 +167,14 @@ class Paint(GateOptions, PaintingOptions):
         # Appended Gaussians have no confidence of their own, and the picture shows the asset as it was.
         confidence = edited.confidence[: len(arrays)]
         write_png(path, confidence_picture(arrays, confidence, threshold, pictures[0].camera.within(splats.offset)))
+
+
+def _prepare(asset: Asset, mode: Mode) -> None:
+    """Work out what an asset keeps of itself: its hash and, for paint, its surface."""
+    with alone():
+        _ = asset.splats.sha256
+        if mode != "global" and asset.splats.drawable.any():
+            _ = asset.surface
 
 
 def _warn_of_other_assets(pictures: Sequence[PictureFile], splats: Splats, report: Report) -> None:

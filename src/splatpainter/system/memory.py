@@ -24,11 +24,12 @@ class MallocOptions:
     """Heaps: with one for each thread, what one has freed is of no use to another. Demo's edit: 221 -> 214 MiB."""
     min_returned_bytes: int = 3 << 20
     """Arrays from this size on go back to the system when they are freed. Measured on the demo's edit with the next
-    limit: 3 MiB 223 MiB at its peak and 65,000 page faults, 4 MiB (with 8 MiB of the next) 231 and 59,000, 2 MiB 217
-    and 104,000; without any limit 274."""
-    most_idle_bytes: int = 6 << 20
-    """So much memory of smaller arrays is for the next ones, at the end of the heap. With glibc's 128 KiB the same
-    pages went back and came again all the time: 102,000 page faults."""
+    limit: 195 to 198 MiB at its peak and 50,000 page faults; 4 MiB 195 to 201 and 50,000, 8 MiB (with 16 MiB of the
+    next) 211 and 37,000; without any limit 252."""
+    most_idle_bytes: int = 12 << 20
+    """So much memory of smaller arrays is for the next ones, at the end of the heap: with 6 MiB 193 MiB and 68,000 page
+    faults, with 24 MiB 196 to 199 and 46,000. With glibc's 128 KiB the same pages went back and came again all the
+    time."""
 
 
 MALLOC = MallocOptions()
