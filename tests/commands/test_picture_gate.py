@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import io
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from splatpainter.gatekeeper import picture_gate
+from splatpainter.gatekeeper.mistaken_pictures import Explanation
 from splatpainter.splats import SH_C0
 from tests.support.cli_scenes import BOX, Capture, ball, ball_and_painted_view, refused, run, saved, without_camera
 
@@ -108,3 +111,27 @@ def test_a_picture_of_another_view_says_so(tmp_path: Path, capfd: Capture) -> No
     assert "of another view: it has a camera of its own (leave --camera out)" in line
     line = refused(capfd, tmp_path, without_camera(other, tmp_path / "above" / "lost.png"), "--camera", camera)
     assert f"of another view: it is like view_000.png (--camera {other})" in line
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_filters_are_looked_for_beside_what_explains_the_picture(
+    threads: int, tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPLATPAINTER_THREADS", str(threads))
+    view = ball_and_painted_view(tmp_path, capfd)
+    lookers: list[str] = []
+    before = picture_gate.filtered
+
+    def noted(*pictures: np.ndarray) -> Explanation | None:
+        lookers.append(threading.current_thread().name)
+        return before(*pictures)
+
+    monkeypatch.setattr(picture_gate, "filtered", noted)
+    assert run(capfd, "edit", tmp_path / "ball.ply", view, "--out", tmp_path / "o.ply").code == 0
+    assert lookers == [threading.current_thread().name if threads == 1 else "splatpainter beside"]
+    # What it finds is said, however many threads looked for it; a mistake that explains the picture comes first.
+    explanation = Explanation("filter", "blurred", 0.1, 0.0)
+    monkeypatch.setattr(picture_gate, "filtered", lambda *pictures: explanation)
+    assert "most likely it is blurred" in refused(capfd, tmp_path, view)
+    line = refused(capfd, tmp_path, saved_beside(view, "flipped.png", pixels_of(view)[::-1]))
+    assert "mirrored from top to bottom" in line and "blurred" not in line

@@ -20,11 +20,12 @@ from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain
 from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
+from splatpainter.kernels.parallel import beside
 from splatpainter.kernels.portable import matmul
 from splatpainter.lift.masks import box_mean, largest_channel
 from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import PictureFile, draw, over_render
-from splatpainter.pictures.encodings import guessed_encoding
+from splatpainter.pictures.encodings import Encoding, guessed_encoding
 from splatpainter.pictures.lost_transparency import GROUND_NOTE, without_its_ground
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.pictures.view_search import most_alike, same_view, views_in
@@ -87,23 +88,32 @@ def checked_picture(
     at_view = source.at_view()
     source = replace(source, drawn=drawn_view(splats.numpy(), at_view.camera))
     view = _compared(at_view, splats)
-    on_ground = (source, view) if policy == "force" else _on_the_views_ground(source, view, splats)
     if not (view.cover > 0).any():  # nothing in view, which the painter says
         return CheckedPicture(source)
+    # A mask says where paint is, and mode global means all of it: then a difference everywhere may be meant.
+    free = source.mask is None and mode != "global"
+    says_no_loss = not _says_its_loss(source) and source.original_size == (view.camera.width, view.camera.height)
+    is_judged = free and policy == "refuse" and says_no_loss
+
+    # Most pictures have nothing that explains them, so another CPU looks already for what is asked then.
+    def look_ahead() -> tuple[tuple[PictureFile, _ComparedView], tuple[Encoding | None, Explanation | None] | None]:
+        on_ground = (source, view) if policy == "force" else _on_the_views_ground(source, view, splats)
+        return on_ground, _filter_of(source, view) if is_judged and on_ground[1] is view else None
+
+    looking = beside(look_ahead)
 
     # One rule for all entrances: command line, batch, session and nodes come through here.
     def why(seen: _ComparedView) -> Explanation | None:
         return explain(seen.colors, seen.render, seen.cover, lambda size: _with_other_axes(splats, seen.camera, size))
 
     explanation = why(view)
+    on_ground, filter_of_view = looking()
     # A grade changes the background, too: that is no ground of another program's.
     if on_ground[1] is not view and (explanation is None or not explanation.is_grade):
         source, view = on_ground
         explanation = why(view)
     if policy == "correct":
         return CheckedPicture(_corrected(source, view, splats, mode, strictness, explanation))
-    # A mask says where paint is, and mode global means all of it: then a difference everywhere may be meant.
-    free = source.mask is None and mode != "global"
     warning = ""
     if explanation is not None and explanation.may_be_meant:
         warning = f"{source.path}: it looks {explanation.words}" if free and policy == "refuse" else ""
@@ -116,16 +126,24 @@ def checked_picture(
     # No guess of an encoding either: the caller says that every difference is paint.
     if policy == "force":
         source = replace(source, picture=replace(source.picture, encoding=None))
-    elif free and not _says_its_loss(source) and source.original_size == (view.camera.width, view.camera.height):
-        encoding = source.picture.encoding or guessed_encoding(view.colors, view.render, view.cover)
+    elif is_judged:
+        encoding, filter_explanation = filter_of_view or _filter_of(source, view)
         source = replace(source, picture=replace(source.picture, encoding=encoding))
-        if explanation is None and (encoding is None or encoding.kind in ("blur", "rounding")):
-            expected = view.render if encoding is None else encoding.applied(view.render)
-            explanation = filtered(view.colors, expected, view.cover)
-            if explanation is not None and explanation.cause == "filter":
+        if explanation is None and filter_explanation is not None:
+            explanation = filter_explanation
+            if explanation.cause == "filter":
                 raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
-            warning = f"{source.path}: it looks {explanation.words}" if explanation is not None else warning
+            warning = f"{source.path}: it looks {explanation.words}"
     return CheckedPicture(source, warning)
+
+
+def _filter_of(source: PictureFile, view: _ComparedView) -> tuple[Encoding | None, Explanation | None]:
+    """(How its file was encoded, as far as its pixels tell; the filter that went over it beside that)."""
+    encoding = source.picture.encoding or guessed_encoding(view.colors, view.render, view.cover)
+    if encoding is not None and encoding.kind not in ("blur", "rounding"):
+        return encoding, None
+    expected = view.render if encoding is None else encoding.applied(view.render)
+    return encoding, filtered(view.colors, expected, view.cover)
 
 
 def _says_its_loss(source: PictureFile) -> bool:
