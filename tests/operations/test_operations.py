@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import threading
 from pathlib import Path
@@ -15,6 +16,7 @@ from PIL import Image
 import splatpainter as sp
 from splatpainter import receipts
 from splatpainter.commands.edit import split_words
+from splatpainter.io.formats import ply
 from splatpainter.operations import to_file
 from splatpainter.operations.operation import Operation, Wording, kinds, operation_class, operation_of
 from splatpainter.operations.to_file import apply_to_file
@@ -147,6 +149,24 @@ def test_the_surface_is_made_once_beside_the_pictures(
     monkeypatch.setenv("SPLATPAINTER_THREADS", "1")
     alone = sp.Paint((Path("painted.png"),)).apply(Asset(sp.read("ball.ply")))
     assert rows_sha256(edited.splats) == rows_sha256(alone.splats)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_files_are_hashed_beside_other_work(threads: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one that is read while its pictures are looked at, the one that is written while its rows are compared."""
+    monkeypatch.setenv("SPLATPAINTER_THREADS", str(threads))
+    hashers: list[str] = []
+    before = ply._sha256
+
+    def noted(record: ply.PlyFile) -> str:
+        hashers.append(threading.current_thread().name)
+        return before(record)
+
+    monkeypatch.setattr(ply, "_sha256", noted)
+    done = apply_to_file(Path("ball.ply"), [sp.Paint((Path("painted.png"),))], Path("out.ply"))
+    assert set(hashers[:2]) == {threading.current_thread().name if threads == 1 else "splatpainter beside"}
+    sums = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("ball.ply", "out.ply")]
+    assert sums == [done.receipt.asset_sha256, done.receipt.output_sha256]
 
 
 def test_pictures_decals_and_operations_in_one_call(folder: Path) -> None:

@@ -170,11 +170,12 @@ class Paint(GateOptions, PaintingOptions):
 
 
 def _prepare(asset: Asset, mode: Mode) -> None:
-    """Work out what an asset keeps of itself: its hash and, for paint, its surface."""
+    """Work out what an asset keeps of itself: its hash and, for paint, its surface. And load what paints."""
     with alone():
         _ = asset.splats.sha256
         if mode != "global" and asset.splats.drawable.any():
             _ = asset.surface
+            from splatpainter.lift import edits, side_views  # noqa: F401
 
 
 def _warn_of_other_assets(pictures: Sequence[PictureFile], splats: Splats, report: Report) -> None:
