@@ -116,6 +116,15 @@ def test_the_build_and_the_loader_agree_on_the_hash():
     assert build["hash_of_sources"]() == hash_of_sources(ROOT / "native")
 
 
+def test_the_version_is_that_of_the_loaded_core(monkeypatch: pytest.MonkeyPatch):
+    """Asked once an edit: the sources of a checkout are not read for it again."""
+    assert library.current().version
+    monkeypatch.setattr(library, "hash_of_sources", lambda folder: pytest.fail("read again"))
+    assert library.version() == library.current().version
+    if (ROOT / "native").is_dir():
+        assert hash_of_sources(ROOT / "native").startswith(library.version())
+
+
 def test_constants_of_kernels_are_those_of_python():
     expected = [
         profiles.MIN_ALPHA,

@@ -201,6 +201,8 @@ class Kernels:
         """Kinds of CPU that this machine is one of, the best first."""
         self.cpu: str = cpu or names[0]
         """The one in use."""
+        self.version: str = self._library.splatpainter_sources().decode()[:12]
+        """First digits of `hash_of_sources`."""
         if self.cpu not in names:
             raise ValueError(f"{CPU_VARIABLE}: expected one of {', '.join(names)}, got {cpu!r}")
         self._kernels: dict[str, Kernel] = {}
@@ -277,7 +279,7 @@ def _loaded(path: Path) -> ctypes.CDLL:
 def version() -> str:
     """Of the core in use: the first digits of `hash_of_sources`. Cores of one version give the same bytes on every
     machine."""
-    return _loaded(_path()).splatpainter_sources().decode()[:12]
+    return current().version
 
 
 def hash_of_sources(folder: Path) -> str:
