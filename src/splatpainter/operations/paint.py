@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -117,14 +117,15 @@ class Paint(GateOptions, PaintingOptions):
     def _painted(self, asset: Asset, pictures: list[PictureFile], painter: Painter, report: Report) -> Asset:
         splats = asset.splats
         # What the edit will ask of the asset whatever the pictures hold, on another CPU while they are looked at.
-        ready = beside(lambda: _prepare(asset, self.mode))
+        hashing, loading = beside(lambda: splats.sha256), beside(lambda: _prepare(asset, self.mode))
         # Looked at before anything is encoded: a camera that sees nothing makes an edit of nothing.
         _check_views(pictures, splats)
         # Only a warning: what differs from the other asset counts as paint, and may be meant so.
-        _warn_of_other_assets(pictures, splats, report)
+        _warn_of_other_assets(pictures, hashing, report)
         # Pictures are put right, refused or let through first; after that the painter takes them as they are.
         pictures = self._checked(pictures, splats, report)
-        ready()
+        hashing()
+        loading()
         if asset.receipt is None:
             encoded = painter.encode(splats, self.method, [self.mode])
             asset = encoded.with_surface_of(asset) if encoded.splats is asset.splats else encoded
@@ -170,19 +171,20 @@ class Paint(GateOptions, PaintingOptions):
 
 
 def _prepare(asset: Asset, mode: Mode) -> None:
-    """Work out what an asset keeps of itself: its hash and, for paint, its surface. And load what paints."""
+    """Make the surface of an asset, which paint is laid on, and load what paints."""
+    if mode == "global" or not asset.splats.drawable.any():
+        return
     with alone():
-        _ = asset.splats.sha256
-        if mode != "global" and asset.splats.drawable.any():
-            _ = asset.surface
-            from splatpainter.lift import edits, side_views  # noqa: F401
+        _ = asset.surface
+        from splatpainter.lift import edits, side_views  # noqa: F401
 
 
-def _warn_of_other_assets(pictures: Sequence[PictureFile], splats: Splats, report: Report) -> None:
+def _warn_of_other_assets(pictures: Sequence[PictureFile], sha256: Callable[[], str], report: Report) -> None:
+    """sha256: waits for the asset's."""
     for picture in pictures:
         # A picture says by its hash what it was rendered from; without one nothing can be said.
         made_for = picture.camera.asset_sha256
-        if made_for is not None and made_for != splats.sha256:
+        if made_for is not None and made_for != sha256():
             other = f"another asset (sha256 {made_for[:12]}...)"
             report.warn(f"{picture.path}: was rendered from {other}; differences count as paint")
 
