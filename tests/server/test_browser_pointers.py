@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from PIL import Image
 
 from splatpainter.server.uploads.image_registration import png_bytes
 from tests.support import studio_scenes
-from tests.support.studio_pages import Page, opened_page
+from tests.support.studio_pages import POINTER, Page, opened_page
 
 
 @pytest.fixture
@@ -234,6 +235,52 @@ def test_a_pen_presses_from_nothing_is_taken_back_and_ends_where_it_was_seen(bro
         pen("cancel", 0.5, 0.6, 0.0, 0)
         page.wait("that stroke, too", lambda: strokes() == 3)
         page.settled()
+
+
+@pytest.mark.slow
+def test_a_stroke_ends_where_the_window_was_resized_under_it(browser: Any, tmp_path: Path) -> None:
+    """It went on in the pixels of the new view, and lay beside the pen."""
+    with opened_page(browser, tmp_path, still=True) as (live, page):
+        page.tab.keyboard.press("b")
+        page.pointer("down", 50, "pen", 0.42, 0.5)
+        page.pointer("move", 50, "pen", 0.5, 0.5)
+        drawn_in = page.camera()
+        page.tab.set_viewport_size({"width": 700, "height": 480})
+        page.wait("another view", lambda: page.camera()["width"] != drawn_in["width"])
+        page.pointer("move", 50, "pen", 0.6, 0.75)
+        page.pointer("up", 50, "pen", 0.6, 0.75, 0.0)
+        page.wait("what was drawn", lambda: page.names() == ["Paint"])
+        page.settled()
+        view = page.state()["layers"][-1]["views"][-1]
+        assert view["camera"]["width"] == drawn_in["width"]
+        assert widths(live, page, 0.46)[0] > 0 == sum(widths(live, page, 0.56, 0.6, 0.65))
+        page.drag((0.45, 0.4), (0.55, 0.4))
+        page.wait("the next one", lambda: page.state()["layers"][-1]["strokes"] == 2)
+        page.settled()
+
+
+@pytest.mark.slow
+def test_a_stroke_reads_the_view_that_it_is_drawn_on(opened: tuple[studio_scenes.Live, Page]) -> None:
+    """A button that moves the camera right after a quick stroke: it read the pixels of the next view."""
+    _, page = opened
+    page.tab.keyboard.press("b")
+    page.drag((0.45, 0.4), (0.55, 0.4))  # the view is read anew after it
+    page.wait("a stroke", lambda: page.names() == ["Paint"])
+    page.settled()
+    page.ask(f"() => {{ window.pointer = {POINTER}; }}")
+    before, meanwhile = page.ask("""() => {
+      const { viewer, camera } = window.studio;
+      const before = JSON.stringify(camera.value);
+      viewer.revision++;  // what was read of it counts no more
+      for (const [type, x] of [["down", 0.45], ["move", 0.5], ["up", 0.5]])
+        window.pointer([`pointer${type}`, 60, "touch", x, 0.6, 0.5]);
+      window.studio.go({ ...window.studio.pose.value, fov: 70 });
+      return [before, JSON.stringify(camera.value)];
+    }""")
+    assert meanwhile == before, "the camera waits until the stroke has read it"
+    page.wait("the other view", lambda: page.camera() != json.loads(before))
+    page.wait("the stroke", lambda: page.state()["layers"][0]["strokes"] == 2)
+    page.settled()
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,11 @@ import pytest
 from PIL import Image
 
 from splatpainter.io import write
+from splatpainter.server.commands import files as file_commands
 from splatpainter.server.studio import Studio, StudioOptions
 from splatpainter.session import Session
 from tests.support import studio_scenes
-from tests.support.studio_pages import LATE, ROWS_IN_VIEW, Page, opened_page
+from tests.support.studio_pages import LATE, PATIENCE, ROWS_IN_VIEW, Page, opened_page
 
 TOO_SMALL = """() => {
   const controls = document.querySelectorAll("button, select, input:not([hidden]), summary, [role=tab]");
@@ -412,3 +414,53 @@ def test_a_bar_says_how_far_a_large_asset_is(browser: Any, tmp_path: Path) -> No
         shares = [share for _, share in bars]
         assert shares == sorted(shares) and shares[-1] > shares[0]
         assert "Loading" in page.ask("[...window.states]") and page.tab.locator(".loading").count() == 0
+
+
+@pytest.mark.slow
+def test_opening_a_large_asset_is_in_sight_and_can_be_cancelled(
+    browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The dialogue lay over the bar and its Cancel until all was done, and Cancel did nothing."""
+    (tmp_path / "shared").mkdir()
+    write(tmp_path / "shared" / "large.ply", studio_scenes.ball(700, 1))
+    go_on, at = threading.Semaphore(0), []
+
+    def slowly(stage: str, work: Any) -> Any:
+        def run(*values: Any) -> Any:
+            at.append(stage)
+            go_on.acquire(timeout=PATIENCE)
+            return work(*values)
+
+        return run
+
+    with opened_page(browser, tmp_path, still=True) as (live, page):
+        projects = live.studio.projects.root
+        before = sorted(projects.iterdir()), page.state()["session"]
+        monkeypatch.setattr(file_commands, "read", slowly("read", file_commands.read))
+        monkeypatch.setattr(file_commands, "Session", slowly("session", Session))
+
+        job = page.tab.locator(".job")
+
+        def opening(stage: str) -> None:
+            page.tab.keyboard.press("Control+o")
+            page.tab.get_by_role("button", name="large.ply", exact=True).click()
+            assert page.tab.get_by_role("dialog").count() == 0
+            page.wait("it to be read", lambda: at[-1:] == ["read"])
+            if stage == "keeping it in a project":
+                go_on.release()
+                page.wait("it to be kept", lambda: at[-1:] == ["session"])
+            page.wait("its bar", lambda: job.count() and stage in job.inner_text())
+            assert page.tab.locator(".connection").inner_text().strip() == "Loading"
+
+        for stage in ("reading", "keeping it in a project"):
+            opening(stage)
+            job.get_by_role("button", name="Cancel").click()
+            page.tab.wait_for_timeout(200)
+            go_on.release()
+            page.wait("none of it", lambda: job.count() == 0)
+            page.settled()
+            assert (sorted(projects.iterdir()), page.state()["session"]) == before
+        opening("keeping it in a project")
+        go_on.release()
+        page.wait("the asset", lambda: page.ask("window.studio.viewer.count") == 700)
+        page.settled()

@@ -132,7 +132,7 @@ class Studio:
         self.exports.clear()
         before = old.note
         # Closing may find something out about the old project; only what is new is said to people.
-        _close(old, self.projects)
+        close_session(old, self.projects)
         self.news = [self.public(note) for note in (old.note if old.note != before else "", fresh.note) if note]
 
     def take_news(self) -> list[str]:
@@ -382,14 +382,14 @@ class Studio:
         before = self.session.note
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # said by who closes it
-            _close(self.session, self.projects)
+            close_session(self.session, self.projects)
         if self.session.note != before:
             self.last_note = self.session.note
         self.blobs.close()
         self.scratch.close()
 
 
-def _close(session: Session, projects: Projects) -> None:
+def close_session(session: Session, projects: Projects) -> None:
     """Close a session; a project of the studio's own folder in which nothing was done is removed."""
     path = session.path
     # All of these hold only for a project that nobody has touched; anything else is somebody's work.

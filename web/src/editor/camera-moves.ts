@@ -1,7 +1,9 @@
 /** Where the view goes: at once, smoothly, home, and along with the window's size. */
 
+import { effect, untracked } from "@preact/signals";
+
 import { MAX_VIEW_PIXELS, type AssetInfo } from "../messages";
-import { camera, density, pose, rgb, view } from "../state/store";
+import { camera, density, frozen, pose, rgb, view } from "../state/store";
 import { between, fromCamera, reshaped, sameView, toCamera, viewSize, type Pose, type Vec3 } from "../view/camera";
 
 const GLIDE_MS = 260;
@@ -26,12 +28,23 @@ export function glide(to: Pose): void {
 export function go(next: Pose): void {
   cancelAnimationFrame(shown.gliding);
   pose.value = next;
-  const size = canvasSize();
-  shown.shape = size.width / size.height;
-  density.value = size.density;
-  const now = toCamera(next, size.width, size.height, rgb(view.value.background));
+  const { width, height } = canvasSize();
+  shown.shape = width / height;
+  show();
+}
+
+/** The camera of the pose. Not before a stroke has read the view: it would get the pixels of another one. */
+function show(): void {
+  if (!pose.value || frozen.value > 0) return;
+  const { width, height, density: perPixel } = canvasSize();
+  density.value = perPixel;
+  const now = toCamera(pose.value, width, height, rgb(view.value.background));
   if (!camera.value || !sameView(camera.value, now)) camera.value = now;
 }
+
+effect(() => {
+  if (frozen.value === 0) untracked(show);
+});
 
 /** The window's size or background changed: what was in sight stays in sight. */
 export function refresh(): void {

@@ -24,6 +24,7 @@ import {
   toast,
   view,
   working,
+  type Job,
 } from "../state/store";
 import type { Vec3 } from "../view/camera";
 import { Viewer } from "../view/viewer";
@@ -144,10 +145,12 @@ export async function run<N extends Name>(name: N, fields: Fields<N>, label = ""
 
 /** Run a command, showing progress when it takes a while. Rejects with a CommandError. */
 export async function track<N extends Name>(name: N, fields: Fields<N>, label: string): Promise<Result<N>> {
+  let job: Job = { id: 0, label, progress: 0, stage: "", cancel: () => running.cancel() };
   const running = editor.link.do(name, fields, (progress, stage) => {
-    jobs.value = jobs.value.map((job) => (job.id === running.id ? { ...job, progress, stage } : job));
+    job = { ...job, progress, stage }; // what is said before it is shown counts as well
+    jobs.value = jobs.value.map((other) => (other.id === job.id ? job : other));
   });
-  const job = { id: running.id, label, progress: 0, stage: "", cancel: () => running.cancel() };
+  job.id = running.id;
   const timer = label ? setTimeout(() => (jobs.value = [...jobs.value, job]), JOB_DELAY_MS) : undefined;
   const counted = OPENING.includes(name) ? opening : WRITING.has(name) ? saving : working;
   const counts = label !== "" || counted === opening;

@@ -2,10 +2,10 @@
 
 import { signal } from "@preact/signals";
 
-import { report, run } from "../editor/editor";
+import { run } from "../editor/editor";
+import { sendWithBar } from "../editor/sending";
 import type { SkyInfo } from "../messages";
-import { sendSlowly } from "../net/blobs";
-import { camera, jobs, toast } from "../state/store";
+import { camera, toast } from "../state/store";
 import { changeLights, shownLights } from "./light-layers";
 import { changedSun, lightsOf, NO_LIGHT, type LightSettings } from "./lights";
 
@@ -23,31 +23,12 @@ export async function learnSkies(): Promise<void> {
   rigs.value = answer.rigs;
 }
 
-let sendings = 0;
-/** Send a file, with its progress where those of commands are shown. */
-async function send(file: File): Promise<string | null> {
-  const abort = new AbortController();
-  const id = -++sendings;
-  const label = `Sending ${file.name}`;
-  jobs.value = [...jobs.value, { id, label, progress: 0, stage: "", cancel: () => abort.abort() }];
-  const show = (progress: number) =>
-    (jobs.value = jobs.value.map((job) => (job.id === id ? { ...job, progress } : job)));
-  try {
-    return await sendSlowly(file, show, abort.signal);
-  } catch (error) {
-    report(error, label);
-    return null;
-  } finally {
-    jobs.value = jobs.value.filter((job) => job.id !== id);
-  }
-}
-
 const remember = (sky: SkyInfo): void => {
   skies.value = [...(skies.peek() ?? []).filter((one) => one.held !== sky.held), sky];
 };
 
 export async function skyFromFile(file: File): Promise<void> {
-  const blob = await send(file);
+  const blob = await sendWithBar(file);
   const answer = blob && (await run("light.sky", { file: blob }, `Reading ${file.name}`));
   if (!answer) return;
   remember(answer.sky);
@@ -57,7 +38,7 @@ export async function skyFromFile(file: File): Promise<void> {
 
 /** The lights of a rig in place of those that there are; a sky stays, unless the rig has one. */
 export async function lightsOfRig(rig: string | File): Promise<void> {
-  const file = typeof rig === "string" ? null : await send(rig);
+  const file = typeof rig === "string" ? null : await sendWithBar(rig);
   if (typeof rig !== "string" && !file) return;
   const answer = await run("light.rig", typeof rig === "string" ? { name: rig } : { file }, "Reading the rig");
   if (!answer) return;
@@ -72,7 +53,7 @@ export async function lightsOfRig(rig: string | File): Promise<void> {
 export async function matchPictures(files: File[]): Promise<void> {
   const view = camera.peek();
   if (!view) return;
-  const sent = await Promise.all(files.slice(0, 4).map(send));
+  const sent = await Promise.all(files.slice(0, 4).map(sendWithBar));
   const pictures = sent.filter((blob): blob is string => blob !== null);
   if (!pictures.length) return;
   const answer = await run("light.match", { pictures, camera: view }, "Finding the light");

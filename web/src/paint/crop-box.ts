@@ -83,6 +83,7 @@ export function boxGesture(pen: Pen): ToolGesture | null {
   if (!before || !view || !handle) return null;
   const start = alongAxis(view, handle.at, axisOf(handle), pen.x, pen.y) ?? 0;
   return {
+    inAnotherView: "goes on",
     down: nothing,
     move({ x, y }) {
       const now = camera.value && alongAxis(camera.value, handle.at, axisOf(handle), x, y);

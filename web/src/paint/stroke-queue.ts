@@ -3,7 +3,7 @@
  * or for which the disk has no room, stay on the overlay and are committed later.
  */
 
-import { effect, signal } from "@preact/signals";
+import { effect } from "@preact/signals";
 
 import type { LayerInfo } from "../messages";
 import { CommandError, type Fields, type Link, type Name, type Result } from "../net/connection";
@@ -11,6 +11,7 @@ import { storageAnswered, storageProblem } from "../state/storage";
 import {
   brush,
   camera,
+  frozen,
   graphicsLost,
   limits,
   method,
@@ -54,9 +55,6 @@ export interface StrokeChoice {
   /** Its paint goes on over the material that it lies on where that is switched on; it is a layer of its own then. */
   spreads?: boolean;
 }
-
-/** Above 0 while the camera must stay: a stroke still reads the view. */
-export const frozen = signal(0);
 
 export class StrokeQueue {
   /** Lies over the view; strokes are seen on it until their Gaussians are on the screen. */

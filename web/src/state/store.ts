@@ -103,6 +103,8 @@ export interface Job {
 export const jobs = signal<Job[]>([]);
 /** Layers that strokes are on their way to. */
 export const painting = signal<readonly string[]>([]);
+/** Above 0 while the camera must stay: a stroke still reads the view. */
+export const frozen = signal(0);
 /** Strokes that are not layers yet. */
 export const pendingStrokes = signal(0);
 /** Commands under way that change the project: nothing is "Saved" before they are answered. */

@@ -30,6 +30,7 @@ export function freehand(
   let path: DabPath;
   let hand: Stabiliser;
   return {
+    inAnotherView: "ends",
     down(pen) {
       stroke = begin(pen);
       if (!stroke) return;

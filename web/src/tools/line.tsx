@@ -16,6 +16,7 @@ const SHIFT_STEP_RADIANS = Math.PI / 4;
 function straight(): ToolGesture {
   let drawn: { stroke: Stroke; start: Pen; brush: Brush } | null = null;
   return {
+    inAnotherView: "ends",
     down(pen) {
       const stroke = editor.strokes.begin("paint", "Line", { spreads: true });
       if (!stroke) return;

@@ -5,8 +5,7 @@ import { signal } from "@preact/signals";
 import { glide, go } from "../editor/camera-moves";
 import { editor } from "../editor/editor";
 import { boxGesture } from "../paint/crop-box";
-import { frozen } from "../paint/stroke-queue";
-import { camera, pose, state } from "../state/store";
+import { camera, frozen, pose, state } from "../state/store";
 import type { Vec3 } from "../view/camera";
 import { Gestures } from "../view/gestures";
 import { Drawing, NO_PRESSURE, type PenKnowledge } from "./drawing";
@@ -68,6 +67,14 @@ class PenInput {
     const begun = this.drawing;
     this.drawing = null;
     begun?.drag.up();
+  }
+
+  /** Another view under the pen: the window was resized, came to another screen, or the asset was turned elsewhere. What
+   * the pen is at is in pixels of the view before, so its next point would lie somewhere else. */
+  viewMoved(): void {
+    const changed = this.drawing?.drag.gesture.inAnotherView;
+    if (changed === "ends") this.finish();
+    else if (changed !== "goes on") this.takeBack();
   }
 
   /** `box`: the view on the page. */

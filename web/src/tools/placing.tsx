@@ -37,6 +37,7 @@ export function placing(begin: (pen: Pen) => void = () => {}, begun: () => void 
   let grip: Grip | null = null;
   let beginning = false;
   return {
+    inAnotherView: "goes on",
     down(pen) {
       const p = placement.value;
       if (laying.value) return;

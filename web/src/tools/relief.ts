@@ -33,6 +33,7 @@ async function stamp(pen: Pen): Promise<void> {
 export function withRelief(gesture: ToolGesture, choosing: () => boolean): ToolGesture {
   let stamping = false;
   return {
+    inAnotherView: gesture.inAnotherView,
     down(pen) {
       const chooses = pen.alt || choosing();
       if (chooses) chooseRelief(pen);

@@ -33,6 +33,9 @@ export interface ToolGesture {
   up(pen: Pen): void;
   /** Escape, or the view moved: take back what was begun. */
   cancel(): void;
+  /** What becomes of it where the view changes meanwhile: it ends there, and what was drawn stays; it goes on, for nothing
+   * of it is in pixels of the view; default: it is taken back. */
+  inAnotherView?: "ends" | "goes on";
 }
 
 /** A way to take the tool up, with its keys. */

@@ -3,10 +3,10 @@
 import { useEffect, useState } from "preact/hooks";
 
 import type { RecentProjects, SceneAssetInfo } from "../messages";
-import { sendBlob } from "../net/blobs";
 import { assets, chosenAsset, draggedAsset, selectedAsset, setAsset } from "../state/assets";
 import { readOnly, selectedLayer } from "../state/store";
-import { report, run } from "../editor/editor";
+import { run } from "../editor/editor";
+import { sendWithBar } from "../editor/sending";
 import { frameAll } from "./header";
 import { Button, Dialog, FileButton, NumberField } from "./parts";
 
@@ -168,17 +168,14 @@ function Adding({ onClose }: { onClose: () => void }) {
   const [projects, setProjects] = useState<RecentProjects | null>(null);
   useEffect(() => void run("project.recent", {}).then(setProjects), []);
   const added = async (work: Promise<{ asset: string } | null>) => {
+    onClose(); // at once: the bar and its Cancel are beside the view
     const answer = await work;
     if (answer) chooseAdded(answer.asset);
-    onClose();
   };
   const send = async (file: File) => {
-    try {
-      const blob = await sendBlob(file, file.name);
-      await added(run("scene.add", { blob }, `Adding ${file.name}`));
-    } catch (error) {
-      report(error);
-    }
+    onClose();
+    const blob = await sendWithBar(file);
+    if (blob) await added(run("scene.add", { blob }, `Adding ${file.name}`));
   };
   const files = (projects?.files ?? []).filter((name) => !/\.splatproj$/i.test(name));
   return (

@@ -4,24 +4,22 @@ import { signal } from "@preact/signals";
 import { useEffect, useRef, useState } from "preact/hooks";
 
 import type { RecentInfo, RecentProjects } from "../messages";
-import { blobUrl, download, sendBlob } from "../net/blobs";
+import { blobUrl, download } from "../net/blobs";
 import { pendingStrokes, readOnly, selectedLayer, state, swapped } from "../state/store";
-import { editor, report, run } from "../editor/editor";
+import { editor, run } from "../editor/editor";
+import { sendWithBar } from "../editor/sending";
 import { ExportAsset } from "./export-asset";
 import { Button, Dialog, FileButton } from "./parts";
 
 /** Open a file that the user chose or dropped. */
 export async function openFile(file: File): Promise<void> {
-  try {
-    const blob = await sendBlob(file, file.name);
-    if (/\.splatlayer$/i.test(file.name)) {
-      const answer = await run("layer.import", { blob }, `Adding ${file.name}`);
-      if (answer) selectedLayer.value = answer.layer.id;
-    } else if (/\.splatproj$/i.test(file.name)) await run("project.open", { blob }, `Opening ${file.name}`);
-    else await run("asset.open", { blob }, `Opening ${file.name}`);
-  } catch (error) {
-    report(error);
-  }
+  const blob = await sendWithBar(file);
+  if (!blob) return;
+  if (/\.splatlayer$/i.test(file.name)) {
+    const answer = await run("layer.import", { blob }, `Adding ${file.name}`);
+    if (answer) selectedLayer.value = answer.layer.id;
+  } else if (/\.splatproj$/i.test(file.name)) await run("project.open", { blob }, `Opening ${file.name}`);
+  else await run("asset.open", { blob }, `Opening ${file.name}`);
 }
 
 export function Files({ saving, onClose }: { saving: boolean; onClose: () => void }) {
@@ -35,7 +33,8 @@ export function Files({ saving, onClose }: { saving: boolean; onClose: () => voi
 function Opening({ onClose }: { onClose: () => void }) {
   const [projects, setProjects] = useState<RecentProjects | null>(null);
   useEffect(() => void run("project.recent", {}).then(setProjects), []);
-  const open = (what: Promise<unknown>) => void what.then(onClose);
+  // at once: the bar and its Cancel are beside the view
+  const open = (_begun: Promise<unknown>) => onClose();
   const isProject = (name: string) => /\.splatproj$/i.test(name);
   return (
     <>

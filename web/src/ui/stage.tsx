@@ -77,6 +77,7 @@ function follow(box: HTMLElement, overlay: HTMLCanvasElement): () => void {
   const stopView = view.subscribe(() => refresh());
   let timer: ReturnType<typeof setTimeout>;
   const stopCamera = camera.subscribe(() => {
+    penInput.viewMoved();
     editor.strokes.viewMoved();
     moving.value = true;
     clearTimeout(timer);

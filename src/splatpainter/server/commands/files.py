@@ -24,7 +24,7 @@ from splatpainter.server.protocol import (
     Name,
     RecentInfo,
 )
-from splatpainter.server.studio import Studio
+from splatpainter.server.studio import Studio, close_session
 from splatpainter.server.uploads.storage import PROJECT, StoredBlob, demo
 from splatpainter.session import Session
 from splatpainter.session.project.disk_probe import locks_refused
@@ -84,16 +84,30 @@ def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
     studio = context.studio
     if (request.blob is not None) + (request.file is not None) + request.demo != 1:
         raise ValueError("asset: expected one of blob, file or demo")
-    context.ticket.report(0, "reading")
+    report = context.ticket.report
+    report(0, "reading")
     name, path = "demo", None
     if request.blob is not None:
         blob = studio.blobs.get(request.blob, "asset")
         name, path = blob.name or f"asset{blob.info.ending}", blob.path
     elif request.file is not None:
         name, path = request.file, folder_file(studio, request.file)
+
+    # A large asset takes a while at each of these; whoever cancels meanwhile has what was open before, and no new file.
+    def make() -> Session:
+        splats = demo() if path is None else read(path)
+        report(0.3, "keeping it in a project")
+        session = Session(splats, studio.projects.fresh(name))
+        try:
+            report(0.6, "preparing the view")
+        except BaseException:
+            close_session(session, studio.projects)
+            raise
+        return session
+
     # The new session is made by the studio, which keeps the old one if the file cannot be read.
     with contextlib.nullcontext() if path is None else naming_errors(path, name):
-        studio.open(lambda: Session(demo() if path is None else read(path), studio.projects.fresh(name)), name)
+        studio.open(make, name)
     return Answer(python=python_line("session = sp.Session", name))
 
 
