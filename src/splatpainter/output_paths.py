@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -16,7 +15,14 @@ from splatpainter.image_files import write_png
 from splatpainter.io import FORMATS, Format, asset_file, files, format_of_name
 from splatpainter.io.folders import inside
 from splatpainter.io.formats.sog_container import META
-from splatpainter.system.atomic import MAX_NAME_BYTES, brief_name, check_name, copy_mode, write_text
+from splatpainter.system.atomic import (
+    MAX_NAME_BYTES,
+    brief_name,
+    check_name,
+    copy_mode,
+    is_mounted_read_only,
+    write_text,
+)
 from splatpainter.system.plain_words import reason
 
 RECEIPT_ENDING = ".receipt.json"
@@ -90,12 +96,7 @@ def check_folder(path: Path) -> None:
 
 def _why_not(folder: Path) -> str:
     """Why nothing can be written into a folder: no permission would send people to chmod where it cannot help."""
-    if sys.platform == "win32":  # has no such call
-        return f"no permission in {folder}"
-    try:
-        is_read_only = bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
-    except OSError:
-        is_read_only = False
+    is_read_only = is_mounted_read_only(folder)
     return f"{folder} is on a disk that is mounted read-only" if is_read_only else f"no permission in {folder}"
 
 

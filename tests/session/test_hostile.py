@@ -18,7 +18,7 @@ import splatpainter as sp
 from splatpainter.session.document.document import Document, Layer, move_layer, resolve_conflict
 from splatpainter.session.document.layer_view import View
 from splatpainter.session.kinds.painted_layers import PaintLayer
-from splatpainter.session.project import database
+from splatpainter.session.project import database, lock
 from splatpainter.session.project.asset_files import is_local_path, is_plain_name
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.project_file import Project
@@ -412,6 +412,18 @@ def test_what_cannot_be_written_can_be_looked_at(
     assert path.read_bytes() == data and [entry.name for entry in path.parent.iterdir()] == [path.name]
     with load(path) as session:
         assert session.read_only == "" and session.undo()
+
+
+def test_a_disk_that_is_mounted_read_only_is_called_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was said that nothing could be locked there, or that the folder allowed no files: chmod would not help."""
+    two_layers(path)
+    readonly(monkeypatch)
+    monkeypatch.setattr(lock, "is_mounted_read_only", lambda folder: folder == path.parent)
+    with load(path) as session:
+        assert session.read_only.startswith("cannot be written (its disk is mounted read-only): it is read-only")
+    target = path.with_name("new.splatproj")
+    with pytest.raises(ValueError, match=r"cannot be written \(its disk is mounted read-only\)$"):
+        flat(project=target)
 
 
 def test_a_file_that_sqlite_opens_for_reading_only_is_read_only(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,6 +52,16 @@ def brief_name(name: str, keep_ending: bool = False) -> str:
     return f"{digest}~{name[-BRIEF_ENDS:]}" if keep_ending else f"{name[:BRIEF_ENDS]}~{digest}"
 
 
+def is_mounted_read_only(folder: Path) -> bool:
+    """Whether the disk that a folder is on can only be read, whatever the rights there."""
+    if sys.platform == "win32":  # has no such call
+        return False
+    try:
+        return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+    except OSError:
+        return False
+
+
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[BinaryIO]:
     """A file that appears at `path` complete (flushed, synced, renamed) or, when the block raises, not at all.

@@ -18,7 +18,9 @@ from pathlib import Path
 from splatpainter.io import files
 from splatpainter.session.project.database import connect, file_uri, is_unwritable
 from splatpainter.session.project.disk_probe import LOCAL_DISK, NO_LOCKS, locks_refused, speaks_of_locks
+from splatpainter.system.atomic import is_mounted_read_only
 
+READ_ONLY_DISK = "its disk is mounted read-only"
 LOCK_ENDING = "-lock"
 """Ending of the lock's file name, after the project's."""
 
@@ -32,7 +34,8 @@ class ProjectLock:
     @staticmethod
     def take(project: Path) -> ProjectLock | None:
         """The lock of a project file, or None: somebody holds it. Raises ValueError naming the project where none can
-        be made: its folder allows no new files or no locks, or something else has the lock's name."""
+        be made: its folder allows no new files or no locks, its disk is mounted read-only, or something else has the
+        lock's name."""
         path = project.with_name(project.name + LOCK_ENDING)
         for _ in range(100):
             connection = _locked(path, project)
@@ -97,5 +100,7 @@ def _locked(path: Path, project: Path, is_tried: bool = False) -> sqlite3.Connec
             if is_new:
                 files.remove(path)
             raise ValueError(f"{project}: cannot be locked ({NO_LOCKS}); {LOCAL_DISK}") from None
+        if is_unwritable(error) and is_mounted_read_only(path.parent):
+            raise ValueError(f"{project}: cannot be written ({READ_ONLY_DISK})") from None
         reason = "its folder allows no new files" if is_unwritable(error) else " ".join(str(error).split())
         raise ValueError(f"{project}: cannot be locked ({reason})") from None

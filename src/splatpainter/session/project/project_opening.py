@@ -41,7 +41,9 @@ def lock_or_reason(path: Path, despite_note: bool = False) -> tuple[ProjectLock 
         lock = ProjectLock.take(path)
     except ValueError as error:
         reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
-        return None, UNWRITABLE.format(reason.removeprefix("cannot be locked (").removesuffix(")"))
+        return None, UNWRITABLE.format(
+            reason.removeprefix("cannot be locked (").removeprefix("cannot be written (").removesuffix(")")
+        )
     if lock is None:
         return None, ELSEWHERE
     # A lock that was given says nothing of other computers where locks do not reach them.
