@@ -160,6 +160,7 @@ class PenInput {
 
   private draw(event: PointerEvent, gesture: ToolGesture | null, pen: Pen): void {
     if (!gesture || this.drawing) return;
+    if (event.pointerType === "pen") gestures.stop(); // what rests there is the hand that draws, until it is lifted
     const drag = new Drawing(gesture, pen, event.pointerType === "pen", this.pens);
     this.drawing = { drag, pointer: event.pointerId, last: event };
   }
