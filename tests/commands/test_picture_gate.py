@@ -78,6 +78,22 @@ def test_correct_paints_what_was_painted(name: str, tmp_path: Path, capfd: Captu
     assert 0.6 * one < other < 3 * one  # the gatekeeper softens the edge of a stroke of 9 pixels by four
 
 
+def test_a_larger_picture_that_lies_beside_its_view_is_put_right(tmp_path: Path, capfd: Capture) -> None:
+    """It was compared with a render of another size, and said "operands could not be broadcast"."""
+    splats = ball()
+    splats.sh[:, 0] = np.random.default_rng(0).uniform(-0.4, 0.4, (len(splats), 3)) / SH_C0  # detail everywhere
+    asset = saved(tmp_path / "spots.ply", splats)
+    assert run(capfd, "render", asset, "--out", tmp_path / "views", "--views", 1, "--size", 160).code == 0
+    view = Image.open(tmp_path / "views" / "view_000.png").convert("RGB")
+    view.paste((20, 200, 60), (74, 74, 86, 86))
+    pixels = np.asarray(view.resize((240, 240), Image.Resampling.BICUBIC)).copy()
+    pixels[..., 0] = np.roll(pixels[..., 0], 4, 1)
+    picture = saved_beside(tmp_path / "view.png", "apart.png", pixels)
+    done = run(capfd, "edit", asset, picture, "--out", tmp_path / "o.ply", "--correct")
+    assert done.code == 0, done.err
+    assert "put right: it was of colours that lie beside each other" in done.out
+
+
 def test_compression_is_no_paint(tmp_path: Path, capfd: Capture) -> None:
     view = ball_and_painted_view(tmp_path, capfd)
     clean = pixels_of(tmp_path / "views" / "view_000.png")

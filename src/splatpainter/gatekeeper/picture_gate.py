@@ -254,6 +254,7 @@ def _corrected(
     mistake, resampled = None if explanation is None else explanation.mistake, None
     if explanation is not None and mistake is not None and mistake.undone is not None:
         if explanation.cause == "moved":  # what resampling alone changes is told from paint
+            colors = view.colors  # of a larger one, too: what it lies beside was rendered at the view's size
             resampled = np.ascontiguousarray(mistake.undone(mistake.made(view.render)), np.float32)
         colors = np.ascontiguousarray(mistake.undone(colors), np.float32)
         if resampled is not None:  # what was pushed over the picture's rim is not known, so it is as it was rendered
