@@ -276,6 +276,26 @@ def test_lists_of_cameras_may_be_named_themselves(tmp_path: Path, capfd: Capture
         assert done.code == 2 and expected in done.err, source
 
 
+@pytest.mark.parametrize("called", [lambda name: f"{name}.png", lambda name: str(Path(name).with_suffix(".png"))])
+def test_masks_beside_colmaps_photographs_are_looked_at(called: Callable[[str], str], tmp_path: Path) -> None:
+    """As COLMAP's --mask_path has them, in folders as the photographs are. They were passed over without a word."""
+    cameras, names = cameras_around(3), ["one/0.jpg", "one/1.jpg", "two/0.jpg"]
+    write_colmap(tmp_path / "sparse" / "0", cameras, names, ending="bin")
+    for name in names:
+        for folder in ("images", "masks"):
+            (tmp_path / folder / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)).save(tmp_path / "images" / name)
+    marked = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
+    marked[:, : SIZE[0] // 4] = 0
+    for name in names[:2]:
+        Image.fromarray(marked).save(tmp_path / "masks" / called(name))
+    first, second, third = posed_pictures(tmp_path, None)
+    for one in (first, second):
+        assert one.mask is not None and not one.mask[:, : SIZE[0] // 4].any() and one.mask.mean() == pytest.approx(0.75)
+    assert third.mask is None
+    assert "2 of the 3 photographs have a mask" in notes_on(tmp_path)[0]
+
+
 @pytest.mark.parametrize("lens", ["none", "brown"])
 def test_what_a_mask_has_black_is_not_looked_at(lens: str, tmp_path: Path, capfd: Capture) -> None:
     """Nerfstudio's mask_path: people, sky, tripods. Masks may be larger than photographs that were made smaller."""

@@ -37,6 +37,22 @@ def test_captures_of_other_programs_are_named(
             read(path)
 
 
+def test_a_run_of_nerfstudio_is_named_with_its_export(tmp_path: Path) -> None:
+    """Its config.yml was "a text, not a splat file; download the file itself"."""
+    config = tmp_path / "config.yml"
+    config.write_text("!!python/object:nerfstudio.engine.trainer.TrainerConfig\n_target: splatfacto\n")
+    (tmp_path / "nerfstudio_models").mkdir()
+    words = rf"is a run of nerfstudio, .*`ns-export gaussian-splat --load-config {config} --output-dir DIR`"
+    for read, path in ((io.read, config), (asset_file, tmp_path), (asset_file, tmp_path / "nerfstudio_models")):
+        with pytest.raises(ValueError, match=words):
+            read(path)
+    (tmp_path / "splat.ply").write_bytes(b"ply\n")
+    assert asset_file(tmp_path).name == "splat.ply"
+    config.write_text("# how the trainer is set up\nsteps: 3\n")
+    with pytest.raises(ValueError, match="is a text"):
+        io.read(config)
+
+
 def test_a_splat_beside_a_capture_is_what_a_folder_holds(tmp_path: Path) -> None:
     (tmp_path / "cameras.xml").write_bytes(METASHAPE)
     (tmp_path / "scene.ply").write_bytes(b"ply\n")

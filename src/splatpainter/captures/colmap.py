@@ -9,7 +9,7 @@ import os
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 import numpy as np
@@ -37,6 +37,8 @@ MODEL_FOLDERS = (
 image_undistorter) only where no other is left."""
 MODELS_FOLDERS = ("sparse", "colmap/sparse", "distorted/sparse")
 """Where COLMAP puts the models of photographs that it could not join into one, each in a folder of its number."""
+MASKS = "masks"
+"""Of the photographs, beside their folder."""
 MODEL_FILES = tuple(
     f"{name}.{ending}" for name in ("cameras", "images", "points3D", "rigs", "frames") for ending in ("bin", "txt")
 )
@@ -187,7 +189,7 @@ def read_model(folder: Path) -> list[CapturedView]:
         matrix[:3, 3] = translation
         row = optics[camera_id]
         posed = replace(row.camera, world_to_camera=matrix)
-        views.append(CapturedView(name, posed, row.lens, folders))
+        views.append(CapturedView(name, posed, row.lens, folders, _mask_of(name, folder)))
     return views
 
 
@@ -213,6 +215,18 @@ def _data_folders(folder: Path) -> list[Path]:
     if here.name != "sparse":
         return [folder.absolute()]
     return [here.parent, here.parent.parent] if here.parent.name in ("colmap", "distorted") else [here.parent]
+
+
+def _mask_of(name: str, folder: Path) -> str:
+    """The mask of a photograph, relative to the data: `masks` has them under the photograph's whole name and .png, as
+    COLMAP's --mask_path wants it, or under the name with that ending in place of its own; "" where there is none."""
+    picture = PurePosixPath(name.replace("\\", "/"))
+    called = dict.fromkeys((f"{picture}.png", str(picture.with_suffix(".png"))))
+    for data in _data_folders(folder):
+        for mask in called:
+            if os.path.isfile(data / MASKS / mask):
+                return f"{MASKS}/{mask}"
+    return ""
 
 
 def _file(folder: Path, name: str) -> Path:

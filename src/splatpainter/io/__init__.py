@@ -17,7 +17,7 @@ import numpy as np
 
 from splatpainter.io import files, folders
 from splatpainter.io.axes import describe, flipped_offset, to_file_axes, to_memory_axes
-from splatpainter.io.foreign_captures import cameras_alone
+from splatpainter.io.foreign_captures import cameras_alone, nerfstudio_run
 from splatpainter.io.foreign_files import COPY_AGAIN, check_not_foreign
 from splatpainter.io.formats import sog_container
 from splatpainter.io.write_options import AS_IT_IS, WriteOptions
@@ -328,6 +328,8 @@ def detect(path: Path) -> str:
         return "compressed.ply" if b"packed_position" in head[: None if end < 0 else end] else "ply"
     if head[:4] in _MAGIC:
         return _MAGIC[head[:4]]
+    if run := nerfstudio_run(path):
+        raise ValueError(f"{path}: is {run}")
     if cameras := cameras_alone(path):
         raise ValueError(f"{path}: {cameras}")
     check_not_foreign(head, path)

@@ -24,6 +24,12 @@ POLYCAM = "raw data of Polycam", "polycam"
 RECORD3D = "a capture of Record3D", "record3d"
 DRONE_MAP = "a project of OpenDroneMap", "odm"
 
+NERFSTUDIO_RUN = (
+    "a run of nerfstudio, whose splats are in a checkpoint; `ns-export gaussian-splat --load-config {} --output-dir "
+    "DIR` makes a splat file of it"
+)
+NERFSTUDIO_CONFIG, NERFSTUDIO_CHECKPOINTS = "config.yml", "nerfstudio_models"
+
 CAMERA_LISTS = ("cameras.json", "transforms.json", "transforms_train.json", "camera_path.json")
 COLMAP_STEMS = ("cameras", "images", "points3D", "rigs", "frames")
 COLMAP_IMAGES = ("images.bin", "images.txt")
@@ -35,6 +41,8 @@ def foreign_capture(path: Path) -> str:
     """What a file or folder is and what to do, words for "PATH: is ..."; "" where it is none of these, or cannot be
     looked at."""
     try:
+        if run := nerfstudio_run(path):
+            return run
         program = _of_folder(path) if os.path.isdir(path) else _of_file(path) if os.path.isfile(path) else None
     except (OSError, ValueError):
         return ""
@@ -59,6 +67,16 @@ def cameras_alone(path: Path) -> str:
         f"{verb} {whose} and no splats; name the splat file, and this as --camera, or make splats of the photographs: "
         f"splatpainter fit {folder} --out NAME.ply"
     )
+
+
+def nerfstudio_run(path: Path) -> str:
+    """What to do with a run of nerfstudio's trainer (its folder, its folder of checkpoints, or its config.yml), words
+    for "PATH: is ..."; "" of anything else."""
+    run = path.parent if path.name in (NERFSTUDIO_CONFIG, NERFSTUDIO_CHECKPOINTS) else path
+    config = run / NERFSTUDIO_CONFIG
+    if not os.path.isfile(config) or b"nerfstudio." not in read_head(config, HEAD_BYTES):
+        return ""
+    return NERFSTUDIO_RUN.format(config)
 
 
 def _of_file(path: Path) -> tuple[str, str] | None:
