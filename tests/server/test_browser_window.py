@@ -464,3 +464,34 @@ def test_opening_a_large_asset_is_in_sight_and_can_be_cancelled(
         go_on.release()
         page.wait("the asset", lambda: page.ask("window.studio.viewer.count") == 700)
         page.settled()
+
+
+@pytest.mark.slow
+def test_strokes_drawn_while_another_asset_opens_are_the_first_ones(
+    browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first of them went into the project that was opened."""
+    (tmp_path / "shared").mkdir()
+    write(tmp_path / "shared" / "large.ply", studio_scenes.ball(700, 1))
+    go_on, read = threading.Event(), file_commands.read
+
+    def slowly(path: Path) -> Any:
+        go_on.wait(PATIENCE)
+        return read(path)
+
+    monkeypatch.setattr(file_commands, "read", slowly)
+    with opened_page(browser, tmp_path, still=True) as (_, page):
+        page.tab.keyboard.press("b")
+        page.drag((0.45, 0.4), (0.55, 0.4))
+        page.wait("a stroke", lambda: page.names() == ["Paint"])
+        page.settled()
+        first = page.state()["project"]["id"]
+        page.tab.keyboard.press("Control+o")
+        page.tab.get_by_role("button", name="large.ply", exact=True).click()
+        for y in (0.5, 0.6):
+            page.drag((0.45, y), (0.55, y))
+        go_on.set()
+        page.wait("the other project", lambda: page.state()["project"]["id"] != first)
+        question = page.tab.locator(".swapped")
+        page.wait("both to wait", lambda: question.count() and "2 strokes drawn since wait" in question.inner_text())
+        assert page.names() == [] and len(page.state()["history"]) == 1

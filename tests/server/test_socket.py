@@ -484,6 +484,29 @@ def test_another_asset_replaces_the_session_for_everybody(studio: Live, tmp_path
         assert studio.studio.session is session
 
 
+@pytest.mark.slow
+def test_what_was_meant_for_another_project_changes_nothing(studio: Live) -> None:
+    """Layers of both are called "1": what waited while the next asset was opened went there."""
+    with studio.greeted() as browser:
+        former = browser.state["session"]
+        browser.do("layer.new", name="mine", session=former)
+        browser.do("asset.open", demo=True, session=former)
+        state = studio.http.get("/api/state").json()
+        assert state["session"] != former
+        for name, fields in (
+            ("paint.begin", {"camera": wire(view())}),
+            ("layer.new", {"name": "theirs"}),
+            ("asset.up", {"up": "+z"}),
+            ("view.export", {"camera": wire(view()), "format": "png"}),
+        ):
+            error = browser.ask(name, session=former, **fields)["error"]
+            assert error["kind"] == "project" and "Another project was opened" in error["message"], name
+        assert studio.http.get("/api/state").json() == state
+        browser.do("view.render", camera=wire(view()), which="now", session=former)  # a look at what there is
+        browser.do("layer.new", name="theirs", session=state["session"])
+        browser.do("layer.new", name="of a client that says nothing")
+
+
 @pytest.mark.parametrize("count", [8, 3000])
 def test_a_stroke_ends_with_the_asset_that_it_was_begun_on(studio: Live, tmp_path: Path, count: int) -> None:
     """Both sessions are at version 1: nothing but the session itself tells their Gaussians apart."""

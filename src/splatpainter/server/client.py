@@ -18,7 +18,7 @@ import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from splatpainter.server import frames
-from splatpainter.server.hub import CommandError, Hub, is_id, parse
+from splatpainter.server.hub import CommandError, Hub, is_id, parse, session_of
 from splatpainter.server.limits import parse_json
 from splatpainter.server.page_state import PageState
 from splatpainter.server.protocol import (
@@ -265,7 +265,9 @@ class CommandReader:
 
     def __init__(self, hub: Hub, client: Client) -> None:
         self.hub, self.client = hub, client
-        self._commands: asyncio.Queue[tuple[int, Command, Ticket] | None] = asyncio.Queue(MAX_QUEUED_COMMANDS + 1)
+        self._commands: asyncio.Queue[tuple[int, Command, Ticket, str | None] | None] = asyncio.Queue(
+            MAX_QUEUED_COMMANDS + 1
+        )
         self._active: set[int] = set()
         """Numbers of its commands that wait or are in work."""
         self._background: dict[asyncio.Task[None], Ticket] = {}
@@ -310,7 +312,7 @@ class CommandReader:
         # The ticket is kept with the page and not the connection, so that a page that returns can still cancel.
         self._active.add(number)
         self.client.page.tickets.setdefault(number, ticket)
-        self._commands.put_nowait((number, command, ticket))
+        self._commands.put_nowait((number, command, ticket, session_of(data)))
 
     def _greet(self, number: int, command: Hello) -> None:
         """Answer `hello`; Gaussians go out before it by themselves."""
@@ -351,7 +353,7 @@ class CommandReader:
     async def work_all(self) -> None:
         """Execute commands, one after the other; long ones that change nothing run beside the rest."""
         while (entry := await self._commands.get()) is not None:
-            number, command, ticket = entry
+            number, command, ticket, session = entry
             # Whoever does not read gets no further work done, or its answers would fill the memory.
             await self.client.backpressure()
             # Here and not by a handler: which Gaussians a client has is known to its connection alone.
@@ -360,7 +362,7 @@ class CommandReader:
                 self.client.send(Answer(re=number, version=self.hub.studio.session.version))
                 self._done(number, ticket)
             elif (handler := self.hub.handlers[type(command)]).background:
-                task = asyncio.create_task(self._work(number, command, ticket))
+                task = asyncio.create_task(self._work(number, command, ticket, session))
                 # What must not be done twice outlives its connection; the rest is cancelled with it (`close`).
                 if handler.once:
                     ticket.ends_with_page = True
@@ -370,13 +372,13 @@ class CommandReader:
                     self._background[task] = ticket
                     task.add_done_callback(self._background.pop)
             else:
-                await self._work(number, command, ticket)
+                await self._work(number, command, ticket, session)
 
-    async def _work(self, number: int, command: Command, ticket: Ticket) -> None:
+    async def _work(self, number: int, command: Command, ticket: Ticket, session: str | None) -> None:
         client, page = self.client, self.client.page
 
         async def work() -> Answer:
-            return await self.hub.execute(command, page, ticket, client)
+            return await self.hub.execute(command, page, ticket, client, session)
 
         # Mostly what runs in the background ends with its connection, and may be done again.
         handler = self.hub.handlers[type(command)]

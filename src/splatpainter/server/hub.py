@@ -26,6 +26,13 @@ from splatpainter.session.project.database import UnwritableError
 log = logging.getLogger("splatpainter.server")
 
 
+ANOTHER_PROJECT = Problem(
+    kind="project",
+    message="Another project was opened before this was done; nothing was changed.",
+    hint="Look at the project that is open now, or go back to the one before.",
+)
+
+
 class CommandError(Exception):
     """A command that failed, as its client gets it."""
 
@@ -92,8 +99,16 @@ class Hub:
             if client.greeted:
                 client.send(message)
 
-    async def execute(self, command: Command, page: PageState, ticket: Ticket, client: Connection | None) -> Answer:
-        """Run a command and return its answer. Raises CommandError where it failed; nothing has changed then."""
+    async def execute(
+        self,
+        command: Command,
+        page: PageState,
+        ticket: Ticket,
+        client: Connection | None,
+        session: str | None = None,
+    ) -> Answer:
+        """Run a command and return its answer. session: id of the one that it is meant for; None: whichever is open.
+        Raises CommandError where it failed; nothing has changed then."""
         # A context of its own for each command: what it previews or says belongs to this one alone.
         handler = self.handlers[type(command)]
         context = CommandContext(self.studio, page, ticket)
@@ -115,6 +130,9 @@ class Hub:
         def job() -> Answer:
             nonlocal seconds, opened, before
             start, before = time.perf_counter(), self.studio.session_id
+            # Now that its turn has come: another window, or the command before, may have opened another project.
+            if handler.bound and session not in (None, before):
+                raise CommandError(ANOTHER_PROJECT)
             try:
                 answer = self._run(handler, context, command)
                 opened = self.studio.session_id != before
@@ -227,12 +245,19 @@ def parse(data: object) -> tuple[int, Command]:
     kind = COMMANDS.get(data["do"])
     if kind is None:
         raise CommandError(Problem(kind="input", message=f"unknown command {data['do'][:40]!r}"))
-    # id and do belong to the connection; a command's model refuses fields that it does not know.
-    fields = {key: value for key, value in data.items() if key not in ("id", "do")}
+    # id, do and session belong to the connection; a command's model refuses fields that it does not know.
+    envelope = {"id", "do"} if "session" in kind.model_fields else {"id", "do", "session"}
+    fields = {key: value for key, value in data.items() if key not in envelope}
     try:
         return data["id"], kind.model_validate(fields)
     except ValidationError as error:
         raise CommandError(Problem(kind="input", message=first_fault(error, data["do"]))) from None
+
+
+def session_of(data: object) -> str | None:
+    """Id of the session that a message is meant for; None: it names none."""
+    session = data.get("session") if isinstance(data, dict) else None
+    return session if isinstance(session, str) else None
 
 
 def is_id(value: object) -> bool:

@@ -4,6 +4,8 @@ Over the socket /ws a client sends {"id": n, "do": NAME, ...fields} and gets, fo
 {"re": n, "progress": 0..1, "stage": "..."} and then one of
   {"re": n, "ok": true, "python": "...", "version": v, ...fields of the answer}
   {"re": n, "ok": false, "error": {"kind", "message", "hint"}}.
+A message may name the "session" that it speaks of, by its id: one that changes or exports what is open is refused (kind
+"project") where another project was opened before its turn came.
 Binary frames with changed Gaussians (frames.py) come BEFORE the answer of the command that changed them. The server
 also sends events: {"event": "state" | "toast" | "picture" | "batch", ...}. First message of a client: `hello`.
 Over HTTP the same: POST /api/do/NAME with the fields as body, the answer as response (Gaussians: GET /api/splats).
@@ -384,9 +386,10 @@ class CommandProgress(Message):
 
 
 class Problem(Message):
-    kind: Literal["input", "cancelled", "busy", "schema", "storage", "fault"]
+    kind: Literal["input", "cancelled", "busy", "schema", "storage", "project", "fault"]
     """input: the user can mend it; busy: too much is waiting; schema: reload the page; storage: the project cannot be
-    written where it is (a full disk), see `project.folders`; fault: ours."""
+    written where it is (a full disk), see `project.folders`; project: another one is open than the command was meant
+    for; fault: ours."""
     message: str
     hint: str = ""
 

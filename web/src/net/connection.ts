@@ -100,7 +100,8 @@ export class Link {
   /** Send a command. While the connection is away it waits for the next one. Rejects with a CommandError. */
   do<N extends Name>(name: N, fields: Fields<N>, onProgress?: Pending["onProgress"]): Running<Result<N>> {
     const id = this.nextId++;
-    const text = JSON.stringify({ id, do: name, ...fields });
+    const session = this.session ?? undefined; // that is on the screen: what it means is refused where another is open
+    const text = JSON.stringify({ id, do: name, session, ...fields });
     const promise = new Promise<Answer>((resolve, reject) => {
       this.pending.set(id, { text, resolve, reject, onProgress });
     }) as Running<Result<N>>;

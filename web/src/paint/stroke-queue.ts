@@ -235,7 +235,7 @@ export class StrokeQueue {
           stroke.again();
           continue;
         }
-        const away = error instanceof CommandError && error.kind === "lost";
+        const away = error instanceof CommandError && (error.kind === "lost" || error.kind === "project");
         if (stroke.withdrawn || !(away || state.value?.project.id !== project)) throw error;
         void this.keep(stroke);
         if (!(await projectIsBack(project))) {

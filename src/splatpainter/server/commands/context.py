@@ -72,6 +72,8 @@ class Handler:
     once: bool = False
     """For background commands: whether it outlives a lost connection, and is not done again for a page that comes back
     (it may cost money)."""
+    bound: bool = False
+    """Whether it is about what is open: refused where that is another project than its page showed when it was sent."""
 
     @property
     def lane(self) -> Lane:
@@ -82,13 +84,18 @@ HANDLERS: dict[type[Command], Handler] = {}
 
 
 def command(
-    kind: type[Command], *, writes: bool = False, background: bool = False, once: bool = False
+    kind: type[Command],
+    *,
+    writes: bool = False,
+    background: bool = False,
+    once: bool = False,
+    bound: bool | None = None,
 ) -> Callable[[Function], Function]:
-    """Register the function for a command; the words are those of Handler."""
+    """Register the function for a command; the words are those of Handler. bound: by default where it writes."""
 
     # The registry is filled by importing the modules, so a new command needs no other list.
     def register(run: Function) -> Function:
-        HANDLERS[kind] = Handler(run, writes, background, once)
+        HANDLERS[kind] = Handler(run, writes, background, once, writes if bound is None else bound)
         return run
 
     return register

@@ -90,7 +90,7 @@ class AssetExport(Command):
     has them, or as the asset's own file if that is of the same format."""
 
 
-@command(AssetExport, background=True)
+@command(AssetExport, background=True, bound=True)
 def export_asset(context: CommandContext, request: AssetExport) -> Exported:
     studio = context.studio
     context.ticket.report(0, "writing and verifying")
@@ -133,7 +133,7 @@ class HtmlExport(Command):
     options: ExportOptions = ExportOptions()
 
 
-@command(HtmlExport, background=True)
+@command(HtmlExport, background=True, bound=True)
 def export_html(context: CommandContext, request: HtmlExport) -> Exported:
     studio = context.studio
     context.ticket.report(0, "packing the Gaussians")

@@ -78,7 +78,7 @@ class AssetOpen(Command):
     demo: bool = False
 
 
-@command(AssetOpen, writes=True)
+@command(AssetOpen, writes=True, bound=False)
 def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
     # One asset replaces another for all windows, so it has to be clear which.
     studio = context.studio
@@ -147,7 +147,7 @@ class ProjectOpen(Command):
     blob: Blob | None = None
 
 
-@command(ProjectOpen, writes=True)
+@command(ProjectOpen, writes=True, bound=False)
 def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
     studio = context.studio
     # As with assets: exactly one place.
@@ -333,7 +333,7 @@ class ProjectDownload(Command):
     ANSWER = Exported
 
 
-@command(ProjectDownload)
+@command(ProjectDownload, bound=True)
 def download_project(context: CommandContext, request: ProjectDownload) -> Exported:
     studio = context.studio
     # A name of plain words, for it becomes a file on the user's disk.
@@ -357,7 +357,7 @@ class ProjectRecent(Command):
     ANSWER = RecentProjects
 
 
-@command(ProjectRecent, writes=True)
+@command(ProjectRecent, writes=True, bound=False)
 def recent_projects(context: CommandContext, request: ProjectRecent) -> RecentProjects:
     studio = context.studio
     # Lists show the present project too, so it gets its picture now.
@@ -405,7 +405,7 @@ class AssetVerify(Command):
     ANSWER = Verified
 
 
-@command(AssetVerify, background=True)
+@command(AssetVerify, background=True, bound=True)
 def verify_asset(context: CommandContext, request: AssetVerify) -> Verified:
     session = context.studio.session
     source = session.opened.source

@@ -81,7 +81,7 @@ class FillSource(SourceWords, SourceCommand):
     camera: CameraInfo
 
 
-@command(FillSource, background=True, once=True)
+@command(FillSource, background=True, once=True, bound=True)
 def fill_from_source(context: CommandContext, request: FillSource) -> LayerMade:
     studio, source, flag = context.studio, open_source(request.source), TicketFlag(context)
     session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)

@@ -360,7 +360,7 @@ class LayerExport(Command):
     layer: str
 
 
-@command(LayerExport)
+@command(LayerExport, bound=True)
 def export_layer(context: CommandContext, request: LayerExport) -> Exported:
     studio = context.studio
     # The name becomes a file, so anything but letters and digits goes.

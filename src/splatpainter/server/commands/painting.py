@@ -97,7 +97,7 @@ class PaintBegin(Command):
     """Paint on the mirrored view, too (not of masks)."""
 
 
-@command(PaintBegin)
+@command(PaintBegin, bound=True)
 def begin(context: CommandContext, request: PaintBegin) -> StrokeStarted:
     session = context.studio.session
     # An eraser within a layer shows what is below it; without one, the original.

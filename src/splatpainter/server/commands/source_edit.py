@@ -125,7 +125,7 @@ def _info(status: SourceStatus) -> SourceInfo:
     )
 
 
-@command(SourceEdit, background=True, once=True)
+@command(SourceEdit, background=True, once=True, bound=True)
 def edit_by_source(context: CommandContext, request: SourceEdit) -> SourcePicture:
     studio, source = context.studio, open_source(request.source)
     # Smaller views where the answer is enlarged, so that the enlarged one can still be painted.
@@ -283,7 +283,7 @@ def plan_source_views(context: CommandContext, request: SourcePlan) -> SourcePla
     return SourcePlanned(views=views, covered=min(plan.covered, 1), paid=source.capabilities.paid)
 
 
-@command(SourceCover, background=True, once=True)
+@command(SourceCover, background=True, once=True, bound=True)
 def cover_by_source(context: CommandContext, request: SourceCover) -> SourceCovered:
     studio, source, flag = context.studio, open_source(request.source), TicketFlag(context)
     session, brief = studio.session, SourceBrief(request.prompt, seed=request.seed)

@@ -52,7 +52,7 @@ class Turntable(Command):
     name: FileName = "turntable"
 
 
-@command(Turntable, background=True)
+@command(Turntable, background=True, bound=True)
 def turntable(context: CommandContext, request: Turntable) -> Exported:
     studio, camera = context.studio, request.camera.to_camera(MAX_EXPORT_PIXELS)
     # Frames may be given in place of seconds, for programs that count them.

@@ -105,7 +105,7 @@ class ViewExport(Command):
     profile: Profile = "inria"
 
 
-@command(ViewExport, background=True)
+@command(ViewExport, background=True, bound=True)
 def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     studio, camera = context.studio, request.camera.to_camera(MAX_EXPORT_PIXELS)
     snapshot = studio.session.snapshot
