@@ -274,7 +274,7 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     studio.post("project.save_as", file="mine")
     state = studio.http.get("/api/state").json()
     assert state["project"] == {
-        "id": "mine",
+        "id": f"mine~{studio.studio.session.files.project_id}",
         "name": "mine",
         "file": "mine.splatproj",
         "read_only": False,
@@ -301,6 +301,24 @@ def test_projects_bookmarks_and_the_folder(studio: Live, tmp_path: Path) -> None
     studio.post("project.open", blob=studio.send(data, "back.splatproj"))
     assert rows_sha256(studio.studio.session.splats) == digest
     assert [entry["name"] for entry in studio.post("project.recent")["recent"]] == ["back"]
+
+
+def test_projects_elsewhere_are_found_again_by_an_id_of_their_own(studio: Live, tmp_path: Path) -> None:
+    """One that the studio was started with lies in no folder that it lists, and may have any other's name."""
+    write(tmp_path / "shared" / "other.ply", ball(100, seed=5))
+    layer, state = studio.post("layer.new")["layer"], studio.http.get("/api/state").json()
+    path, project = studio.studio.session.path, state["project"]["id"]
+    assert path is not None and project != path.stem and project.startswith(f"{path.stem}~")
+    studio.post("asset.open", file="other.ply")
+    listed = {entry["id"]: entry["name"] for entry in studio.post("project.recent")["recent"]}
+    assert listed[project] == path.stem
+    studio.post("project.open", recent=project)
+    state = studio.http.get("/api/state").json()
+    assert [one["id"] for one in state["layers"]] == [layer["id"]] and state["project"]["id"] == project
+    with Session(ball(50), tmp_path / "shared" / path.name):
+        pass
+    studio.post("project.open", file=path.name)
+    assert studio.http.get("/api/state").json()["project"]["id"] not in (project, path.stem)
 
 
 def test_what_was_painted_before_is_offered_again(studio: Live, tmp_path: Path) -> None:

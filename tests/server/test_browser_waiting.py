@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.studio_pages import Page
+from splatpainter.session import Session
+from tests.support import studio_scenes
+from tests.support.studio_pages import Page, window
 from tests.support.studio_process import Server, served_page
 from tests.support.systems import posix_only
 
@@ -208,3 +210,38 @@ def test_a_server_that_says_nothing_for_long_is_noticed(killed: tuple[Server, Pa
     page.wait("its stroke", lambda: strokes(page) == [2])
     page.settled()
     assert note.count() == 0 and np.isfinite(page.pixels()).all()
+
+
+@posix_only
+@pytest.mark.slow
+def test_another_project_of_the_same_name_gets_no_strokes(browser: Any, tmp_path: Path) -> None:
+    """The name of its file was all that a project was known by: the strokes went into the other one."""
+    for name, seed in (("a", 0), ("b", 1)):
+        (tmp_path / name).mkdir()
+        with Session(studio_scenes.ball(300, seed), tmp_path / name / "vase.splatproj") as session:
+            session.layers.new("Paint")
+    server, other = (Server(tmp_path / name / "vase.splatproj", tmp_path) for name in "ab")
+    other.port, other.url = server.port, server.url
+    other._command[-1] = str(server.port)
+    try:
+        server.start()
+        with window(browser, server.url, still=True) as page:
+            page.tab.keyboard.press("b")
+            page.drag((0.45, 0.4), (0.55, 0.4))
+            page.wait("a stroke", lambda: strokes(page) == [1])
+            page.settled()
+            kill(server, page)
+            page.drag((0.45, 0.5), (0.55, 0.5))
+            other.start()
+            question = page.tab.locator(".swapped")
+            page.wait("a question", lambda: question.count() and "1 stroke drawn since waits" in question.inner_text())
+            assert strokes(page) == [0] and len(page.state()["history"]) == 2
+            other.end(crash=True)
+            page.wait("that it is gone", lambda: "lost" in page.tab.locator(".connection").inner_text())
+            server.start()
+            page.wait("both strokes", lambda: strokes(page) == [2])
+            page.settled()
+            page.problems = [one for one in page.problems if "WebSocket" not in one and "ERR_" not in one]
+    finally:
+        for one in (server, other):
+            one.end(crash=True)

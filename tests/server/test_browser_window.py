@@ -495,3 +495,7 @@ def test_strokes_drawn_while_another_asset_opens_are_the_first_ones(
         question = page.tab.locator(".swapped")
         page.wait("both to wait", lambda: question.count() and "2 strokes drawn since wait" in question.inner_text())
         assert page.names() == [] and len(page.state()["history"]) == 1
+        question.get_by_role("button").first.click()
+        page.wait("all of them", lambda: [one["strokes"] for one in page.state()["layers"]] == [3])
+        page.settled()
+        assert page.state()["project"]["id"] == first

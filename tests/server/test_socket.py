@@ -492,7 +492,6 @@ def test_what_was_meant_for_another_project_changes_nothing(studio: Live) -> Non
         browser.do("layer.new", name="mine", session=former)
         browser.do("asset.open", demo=True, session=former)
         state = studio.http.get("/api/state").json()
-        assert state["session"] != former
         for name, fields in (
             ("paint.begin", {"camera": wire(view())}),
             ("layer.new", {"name": "theirs"}),
@@ -502,7 +501,6 @@ def test_what_was_meant_for_another_project_changes_nothing(studio: Live) -> Non
             error = browser.ask(name, session=former, **fields)["error"]
             assert error["kind"] == "project" and "Another project was opened" in error["message"], name
         assert studio.http.get("/api/state").json() == state
-        browser.do("view.render", camera=wire(view()), which="now", session=former)  # a look at what there is
         browser.do("layer.new", name="theirs", session=state["session"])
         browser.do("layer.new", name="of a client that says nothing")
 

@@ -38,7 +38,15 @@ from splatpainter.server.protocol import (
 )
 from splatpainter.server.public_text import public_text
 from splatpainter.server.strokes.stroke import Stroke
-from splatpainter.server.uploads.storage import Blobs, Downloads, Folder, Projects, RecentProject, UploadLimits
+from splatpainter.server.uploads.storage import (
+    Blobs,
+    Downloads,
+    Folder,
+    Projects,
+    RecentProject,
+    UploadLimits,
+    project_id,
+)
 from splatpainter.session import Session
 from splatpainter.session.document.layer_factory import thumbnail
 from splatpainter.session.project.scratch import ScratchFolder, sweep_folder, sweep_scratch
@@ -74,6 +82,8 @@ class Studio:
         """The session is the studio's from now on: closing the studio closes it. What a studio that was killed left
         behind is removed."""
         self.options = options
+        self.named_project = session.path
+        """That the studio was started with: its user may name any file as its original."""
         self.folder = None if options.folder is None else Folder(options.folder)
         self.projects = Projects(options.projects or projects_folder())
         # Before anything of this studio's is made: what a killed one left behind is no longer anybody's.
@@ -135,6 +145,15 @@ class Studio:
         close_session(old, self.projects)
         self.news = [self.public(note) for note in (old.note if old.note != before else "", fresh.note) if note]
 
+    def note_place(self, former: Path | None = None) -> None:
+        """Remember where the project is: one can go back to it from another one. former: where it was until now."""
+        path = self.session.path
+        # Those of the studio's folder are known by their files.
+        if path is not None and (self.folder is None or path.resolve().parent != self.folder.root):
+            self.projects.note(path)
+        if former is not None and former != path:
+            self.projects.forget(former)
+
     def take_news(self) -> list[str]:
         """The `news`, which are none afterwards."""
         news, self.news = self.news, []
@@ -189,6 +208,7 @@ class Studio:
             asset = describe.counted(describe.asset_info(session, name), session.original, snapshot.splats)
             state = self._state_of(session, session_id, name, asset, lists, selection)
         self.session, self.session_id, self.name = session, session_id, name
+        self.note_place()
         self._drawn = snapshot.version if session.files.has_picture else None
         self.selection = selection
         self._asset, self._lists, self._counted = asset, lists, snapshot.version
@@ -275,7 +295,7 @@ class Studio:
         name = name if path is None or not inside else path.stem
         file = path.name if path is not None and inside else None
         reason = session.read_only
-        id = "" if path is None else path.stem
+        id = "" if path is None else project_id(path, session.files.project_id)
         looked, is_free, noted = self._looked
         is_free, noted = (is_free, noted) if reason and session is looked else (False, "")
         reason = self.public(reason)

@@ -36,6 +36,7 @@ export function adoptState(editor: Shown, next: State): void {
   const left = another ? leftNow(before) : null;
   if (left) noteLeft(left, next);
   if (!another && before && before.version !== next.version) noteChange();
+  editor.link.enter(next.session); // first: what the new state sets off is meant for it
   // with the question, or what is in hand of the project that was left would be taken for this one's
   batch(() => {
     state.value = next; // what waits for this project goes on
@@ -67,10 +68,9 @@ function chooseLayer(before: State | null, next: State): void {
 }
 
 /** The asset of another project, and what is to be known of it. */
-function showAsset(editor: Shown, before: State | null, { asset, session }: State): void {
+function showAsset(editor: Shown, before: State | null, { asset }: State): void {
   // the same asset again, as after a crash of the server: nobody moved, so the view stays
   const stays = before?.asset.sha256 === asset.sha256 && axisName(before.asset.up) === axisName(asset.up) && pose.value;
-  editor.link.enter(session);
   editor.viewer.extent = asset.radius;
   editor.viewer.setAntialiased(asset.antialiased);
   document.title = `${asset.name} – SplatPainter`;

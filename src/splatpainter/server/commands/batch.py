@@ -207,7 +207,7 @@ def _add_asset(context: CommandContext, batch: BatchFolder, asset: BatchAsset) -
     elif asset.recent is not None:
         # Of a recent project its asset is meant, as it was read, without its layers.
         path = studio.projects.find(asset.recent)
-        name = asset.recent.rsplit("_", 1)[0]
+        name = studio.projects.name_of(path)
         with naming_errors(path, name):
             batch.assets.append(write_original(path, batch.stem(name))[0])
     else:

@@ -164,7 +164,9 @@ def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
     options: dict[str, Any] = {"embedded": True}
     if request.recent is not None:
         path = studio.projects.find(request.recent)
-        name = request.recent.rsplit("_", 1)[0]
+        name = studio.projects.name_of(path)
+        if path == studio.named_project:
+            options = {}
     else:
         path = folder_file(studio, request.file or "")
         name = path.stem
@@ -239,6 +241,7 @@ def save_as(context: CommandContext, request: ProjectSaveAs) -> Answer:
     if before is not None and before.parent == studio.projects.root and is_there:
         files.remove(before)  # it moved
     studio.name = path.stem
+    studio.note_place(before)
     return Answer(python=python_line("session.files.save_as", name))
 
 
@@ -296,6 +299,7 @@ def move_project(context: CommandContext, request: ProjectMove) -> ProjectMoved:
     before, is_there = studio.session.path, studio.session.files.is_in_place
     file = before.name if before is not None else studio.projects.fresh(studio.name).name
     studio.session.files.save_as(folder / file)
+    studio.note_place(before)
     # The old file goes only when the new one is written.
     if before is not None and before.parent == studio.projects.root and is_there:
         with contextlib.suppress(OSError):  # the disk that refuses to be written

@@ -58,7 +58,7 @@ def add_asset(context: CommandContext, request: AssetAdd) -> AssetAdded:
             project = studio.projects.find(request.recent)
             folder = stack.enter_context(scratch_folder("added"))
             asset, axes = write_original(project, folder / "asset")
-            name = request.recent.rsplit("_", 1)[0]
+            name = studio.projects.name_of(project)
         else:
             asset, name, axes = demo(), "demo", "auto"
         # Errors name the file as its owner knows it, not the copy.

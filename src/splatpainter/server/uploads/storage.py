@@ -34,6 +34,10 @@ from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.system.user_folders import PROJECTS_VARIABLE, cache_folder, projects_folder
 
 PROJECT = ".splatproj"
+FRESH_NAME = re.compile(r"_\d{8}-\d{6}-[0-9a-f]{4}$")
+"""What Projects.fresh adds to an asset's name: no two projects meet."""
+MAX_ELSEWHERE = 64
+"""Projects of other folders that are remembered while the studio runs."""
 MAX_SUMMARIES = 512
 """Most summaries of project files, in memory."""
 MAX_DOWNLOADS = 16
@@ -137,6 +141,12 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return stat.st_mtime_ns, stat.st_size
 
 
+def project_id(path: Path, by_chance: str) -> str:
+    """Name by which clients know a project: its file's, with what it has by chance where that name is not unique by
+    itself. by_chance: ProjectSummary.id."""
+    return path.stem if not by_chance or FRESH_NAME.search(path.stem) else f"{path.stem}~{by_chance}"
+
+
 class Projects:
     """Projects that nobody has saved elsewhere yet: everything is always saved, wherever it is."""
 
@@ -149,6 +159,17 @@ class Projects:
             raise ValueError(f"{root}: cannot be made ({error.strerror or error})") from None
         self.root = root
         self.summaries = Summaries()
+        self._elsewhere: dict[Path, None] = {}
+        """Projects of other folders that were open, the latest last."""
+
+    def note(self, path: Path) -> None:
+        """A project is open: one can go back to it, wherever it is."""
+        if path.parent == self.root:
+            return
+        self._elsewhere.pop(path, None)
+        self._elsewhere[path] = None
+        while len(self._elsewhere) > MAX_ELSEWHERE:
+            del self._elsewhere[next(iter(self._elsewhere))]
 
     def fresh(self, name: str) -> Path:
         """A file name for a new project about something called `name`."""
@@ -156,6 +177,10 @@ class Projects:
         stem = re.sub(r"[^\w-]+", "-", Path(name).name.split(".")[0]).strip("-")[:40] or "asset"
         stamp = time.strftime("%Y%m%d-%H%M%S")
         return self.root / f"{stem}_{stamp}-{secrets.token_hex(2)}{PROJECT}"
+
+    def forget(self, path: Path) -> None:
+        """A project lies elsewhere from now on."""
+        self._elsewhere.pop(path, None)
 
     def recent(self, present: Path | None = None) -> list[RecentProject]:
         """Latest edit first. Of copies the latest; projects in which nothing was done are left out, but for the
@@ -167,7 +192,7 @@ class Projects:
             if summary is not None and summary.is_untouched and path != present:
                 continue
             changed = path.stat().st_mtime if summary is None else summary.edited
-            out.append(RecentProject(path.stem, path.stem.rsplit("_", 1)[0], path, changed, summary))
+            out.append(RecentProject(self._id(path), self.name_of(path), path, changed, summary))
         out.sort(key=lambda project: -project.changed)
         # Copies hold the same work; the latest stands for all.
         contents: set[str] = set()
@@ -190,15 +215,25 @@ class Projects:
             and project.summary.layers
         ]
 
+    def name_of(self, path: Path) -> str:
+        """What a project is called: of one of this folder, without what `fresh` adds."""
+        return path.stem.rsplit("_", 1)[0] if path.parent == self.root else path.stem
+
     def find(self, id: str) -> Path:
         """Raises ValueError for an unknown one."""
         for path in self._paths():
-            if path.stem == id:
+            if self._id(path) == id:
                 return path
         raise ValueError(f"project {brief(id)}: no longer among the recent ones")
 
+    def _id(self, path: Path) -> str:
+        if FRESH_NAME.search(path.stem):  # known without a look into the file
+            return path.stem
+        summary = self.summaries.get(path)
+        return project_id(path, "" if summary is None else summary.id)
+
     def _paths(self) -> list[Path]:
-        paths = self.root.glob(f"*{PROJECT}")
+        paths = [*self._elsewhere, *self.root.glob(f"*{PROJECT}")]
         return [path for path in paths if not path.name.startswith(".") and path.is_file()]
 
 

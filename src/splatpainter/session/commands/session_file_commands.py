@@ -41,6 +41,7 @@ class SessionFileCommands:
 
     def __init__(self, core: SessionCore) -> None:
         self._core = core
+        self._project_id: str | None = None
 
     # ---- the asset
 
@@ -217,6 +218,13 @@ class SessionFileCommands:
     def _was_let_go_of(self) -> bool:
         project = self._core.project
         return was_held(project.read_only) and project.path.is_file() and ProjectLock.is_free(project.path)
+
+    @property
+    def project_id(self) -> str:
+        """What the project has of its own, by chance, since it was made, wherever it is moved; "" of older ones."""
+        if self._project_id is None:  # read once: the file may be another program's by now
+            self._project_id = self._core.project.fact("id") or ""
+        return self._project_id
 
     @property
     def is_in_place(self) -> bool:

@@ -12,6 +12,7 @@ import contextlib
 import itertools
 import json
 import os
+import secrets
 import shutil
 import sqlite3
 import tempfile
@@ -110,11 +111,13 @@ class Project:
         """A new project file with the original's files as (name, bytes) pieces in order. It appears at `path` complete
         or not at all. Raises ValueError: it exists, is open elsewhere, or cannot be written."""
 
+        new_id = secrets.token_hex(4)
+
         def fill(connection: sqlite3.Connection) -> None:
             connection.execute("PRAGMA auto_vacuum=INCREMENTAL")
             connection.execute("BEGIN")
             database.create_tables(connection)
-            connection.executemany("INSERT INTO facts VALUES (?, ?)", [*facts.items(), ("cursor", "1")])
+            connection.executemany("INSERT INTO facts VALUES (?, ?)", [*facts.items(), ("cursor", "1"), ("id", new_id)])
             for part, (name, data) in enumerate(original):
                 connection.execute("INSERT INTO original VALUES (?, ?, ?)", (name, part, data))
             connection.execute("INSERT INTO steps (id, label, policies, next_id) VALUES (1, 'open', '[]', 1)")

@@ -31,6 +31,8 @@ class ProjectSummary:
     """Nothing was done in it: no step, no bookmark, not turned."""
     edited: float
     """When it was last changed, seconds since 1970."""
+    id: str
+    """By chance, since it was made; copies have it, too. "" of older projects."""
     content: str
     """Hash of the original and of all steps: that of a copy is the same."""
     picture: bytes | None = field(repr=False)
@@ -76,6 +78,7 @@ def _summary(project: Project, path: Path) -> ProjectSummary:
         len(document.layers),
         len(steps) == 1 and not project.bookmarks() and not any(map(project.fact, ("up", "front"))),
         _seconds(project.fact(EDITED_FACT), path),
+        project.fact("id") or "",
         content.hexdigest(),
         picture,
     )
