@@ -151,3 +151,35 @@ def test_filters_are_looked_for_beside_what_explains_the_picture(
     assert "most likely it is blurred" in refused(capfd, tmp_path, view)
     line = refused(capfd, tmp_path, saved_beside(view, "flipped.png", pixels_of(view)[::-1]))
     assert "mirrored from top to bottom" in line and "blurred" not in line
+
+
+def test_filters_are_looked_for_on_the_views_ground(
+    tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = ball_and_painted_view(tmp_path, capfd)
+    pixels = pixels_of(view).copy()
+    before = pixels_of(tmp_path / "views" / "view_000.png")
+    pixels[(before == before[0, 0]).all(-1)] = 255
+    picture = saved_beside(view, "white.png", pixels)
+    seen: list[np.ndarray] = []
+
+    def blurred(*pictures: np.ndarray) -> Explanation:
+        seen.append(pictures[0])
+        return Explanation("filter", "blurred", 0.1, 0.0)
+
+    monkeypatch.setattr(picture_gate, "filtered", blurred)
+    assert "most likely it is blurred" in refused(capfd, tmp_path, picture)
+    assert len(seen) == 1
+    np.testing.assert_allclose(seen[0][0, 0], before[0, 0] / 255, atol=1e-3, err_msg="the view's own ground")
+
+
+def test_a_filter_beside_what_may_be_meant_is_not_said(
+    tmp_path: Path, capfd: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = ball_and_painted_view(tmp_path, capfd)
+    meant = Explanation("look", "like another look of it", 0.5, 0.5)
+    assert meant.may_be_meant
+    monkeypatch.setattr(picture_gate, "explain", lambda *_: meant)
+    monkeypatch.setattr(picture_gate, "filtered", lambda *_: Explanation("filter", "blurred", 0.1, 0.0))
+    done = run(capfd, "edit", tmp_path / "ball.ply", view, "--out", tmp_path / "o.ply")
+    assert done.code == 0 and "it looks like another look of it" in done.err and "blurred" not in done.err
