@@ -15,6 +15,7 @@ from PIL import Image
 from splatpainter.io import write
 from splatpainter.server.commands import files as file_commands
 from splatpainter.server.studio import Studio, StudioOptions
+from splatpainter.server.work_queue import Ticket
 from splatpainter.session import Session
 from tests.support import studio_scenes
 from tests.support.studio_pages import LATE, PATIENCE, ROWS_IN_VIEW, Page, opened_page
@@ -424,6 +425,9 @@ def test_opening_a_large_asset_is_in_sight_and_can_be_cancelled(
     (tmp_path / "shared").mkdir()
     write(tmp_path / "shared" / "large.ply", studio_scenes.ball(700, 1))
     go_on, at = threading.Semaphore(0), []
+    cancelled: list[Ticket] = []
+    cancel = Ticket.cancel
+    monkeypatch.setattr(Ticket, "cancel", lambda ticket: (cancelled.append(ticket), cancel(ticket)))
 
     def slowly(stage: str, work: Any) -> Any:
         def run(*values: Any) -> Any:
@@ -454,8 +458,9 @@ def test_opening_a_large_asset_is_in_sight_and_can_be_cancelled(
 
         for stage in ("reading", "keeping it in a project"):
             opening(stage)
+            count = len(cancelled)
             job.get_by_role("button", name="Cancel").click()
-            page.tab.wait_for_timeout(200)
+            page.wait("the server to hear of it", lambda count=count: len(cancelled) > count)
             go_on.release()
             page.wait("none of it", lambda: job.count() == 0)
             page.settled()

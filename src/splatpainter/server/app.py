@@ -42,7 +42,15 @@ from splatpainter.server.work_queue import Ticket
 
 PAGE_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 """File ending -> its content type: browsers do not guess (x-content-type-options)."""
-STATUS = {"input": 400, "cancelled": 409, "busy": 503, "schema": 409, "storage": 507, "fault": 500}
+STATUS = {
+    "input": 400,
+    "cancelled": 409,
+    "busy": 503,
+    "schema": 409,
+    "storage": 507,
+    "project": 409,
+    "fault": 500,
+}
 SOCKET_ONLY: tuple[type[Command], ...] = (Hello, Sync, Cancel)
 NO_STORE = {"cache-control": "no-store"}
 FOREVER = {"cache-control": "private, max-age=31536000, immutable"}
