@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ from splatpainter.painter import Painter
 from splatpainter.receipts import Receipt, verify
 from splatpainter.rendering import render
 from splatpainter.server import describe, frames
+from splatpainter.server.app import STATUS
 from splatpainter.server.commands import COMMANDS
+from splatpainter.server.protocol import Problem
 from splatpainter.server.uploads.image_registration import png_bytes
 from splatpainter.session import Session
 from splatpainter.splats import changed_rows, rows_sha256
@@ -484,3 +487,7 @@ def test_an_operation_is_a_layer_by_its_own_options(studio: Live) -> None:
         answer = studio.http.post("/api/do/layer.add", json={"operation": wrong})
         assert answer.status_code == 400 or answer.status_code == 422
     assert len(studio.studio.session.layers) == 1
+
+
+def test_every_kind_of_refusal_has_a_status() -> None:
+    assert set(STATUS) == set(get_args(Problem.model_fields["kind"].annotation))
