@@ -54,7 +54,7 @@ from splatpainter.transforms import quat_to_matrix
 from splattrain import recipes
 from splattrain.data.object_sources import HELD_OUT_SHARE
 from splattrain.data.painted_gaussians import PaintedEdit, lifted_edit
-from splattrain.data.viewpoints import Optics, _aimed, _direction, _unit, angles
+from splattrain.data.viewpoints import turned
 from splattrain.training_data import DataSettings, ResourceFolders, painted_gaussian_streams
 
 NEIGHBOURS = 8
@@ -332,18 +332,6 @@ def _weights(cached: CachedWeights, view: Any, shape: tuple[int, ...], column: n
     columns = np.broadcast_to(column[entries[pair]][:, None], there.shape)[there]
     size = (shape[0] * shape[1], count)
     return sparse.csr_matrix((values[there], ((y * shape[1] + x)[there], columns)), shape=size)
-
-
-def turned(camera: Camera, target: np.ndarray, degrees: float, way: float) -> Camera:
-    """The target from `degrees` away in the direction `way`, radians around the line of sight."""
-    offset = camera.position - target
-    forward = _unit(offset)
-    side = _unit(np.cross(_direction(angles(offset)[0] + 90, 0.0), forward))
-    across = math.cos(way) * side + math.sin(way) * np.cross(forward, side)
-    line = math.cos(math.radians(degrees)) * forward + math.sin(math.radians(degrees)) * across
-    field_of_view = math.degrees(2 * math.atan(camera.height / 2 / camera.fy))
-    optics = Optics(camera.height, field_of_view, camera.background)
-    return _aimed(target + np.linalg.norm(offset) * line, target, optics)
 
 
 def _ways(camera: Camera, middle: np.ndarray, degrees: float) -> list[Camera]:

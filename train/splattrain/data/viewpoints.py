@@ -68,19 +68,29 @@ def neighbour(
     camera: Camera, target: np.ndarray, rng: np.random.Generator, apart: tuple[float, float] = (15.0, 40.0)
 ) -> Camera:
     """The target from another side, `apart` (from, to) degrees away, a little nearer or farther."""
-    offset = camera.position - target
-    azimuth, elevation = angles(offset)
-    angle, way = math.radians(rng.uniform(*apart)), rng.uniform(0, 2 * math.pi)
-    forward = _unit(offset)
-    side = _unit(np.cross(_direction(azimuth + 90, 0.0), forward))
-    other = np.cross(forward, side)
+    degrees, way = rng.uniform(*apart), rng.uniform(0, 2 * math.pi)
     for turn in (way, way + math.pi, way + math.pi / 2):  # not from below the floor nor through the zenith
-        line = math.cos(angle) * forward + math.sin(angle) * (math.cos(turn) * side + math.sin(turn) * other)
-        if MIN_ELEVATION - 10 <= angles(line)[1] <= MAX_ELEVATION + 15:
+        if MIN_ELEVATION - 10 <= angles(_line_beside(camera, target, degrees, turn))[1] <= MAX_ELEVATION + 15:
             break
-    distance = float(np.linalg.norm(offset)) * rng.uniform(0.9, 1.3)
+    return turned(camera, target, degrees, turn, rng.uniform(0.9, 1.3))
+
+
+def turned(camera: Camera, target: np.ndarray, degrees: float, way: float, distance: float = 1.0) -> Camera:
+    """The target from `degrees` away in the direction `way`, radians around the line of sight; distance: over that of
+    the camera."""
+    line = _line_beside(camera, target, degrees, way)
+    away = float(np.linalg.norm(camera.position - target)) * distance
     fov = math.degrees(2 * math.atan(camera.height / 2 / camera.fy))
-    return _aimed(target + distance * line, target, Optics(camera.height, fov, camera.background))
+    return _aimed(target + away * line, target, Optics(camera.height, fov, camera.background))
+
+
+def _line_beside(camera: Camera, target: np.ndarray, degrees: float, way: float) -> np.ndarray:
+    """[3] unit vector from the target to a camera that is turned so."""
+    offset = camera.position - target
+    forward, angle = _unit(offset), math.radians(degrees)
+    side = _unit(np.cross(_direction(angles(offset)[0] + 90, 0.0), forward))
+    across = math.cos(way) * side + math.sin(way) * np.cross(forward, side)
+    return math.cos(angle) * forward + math.sin(angle) * across
 
 
 def crop(camera: Camera, target: np.ndarray, zoom: float) -> Camera:
