@@ -13,7 +13,7 @@ from splatpainter.lights.gloss import gloss_of
 from splatpainter.lights.lamps import Sun
 from splatpainter.lights.light_set import Lights, turned_sky
 from splatpainter.lights.prepared import captured_light, lit_surface
-from splatpainter.lights.relight import relight
+from splatpainter.lights.relight import delight, relight
 from splatpainter.lights.skies import sky
 from splatpainter.lights.sky_maps import SkyMap, lat_long
 from splatpainter.lights.source_light import SourceLight
@@ -138,3 +138,12 @@ def test_what_neighbours_disagree_on_is_chance() -> None:
     splats = captured(NOON, 0, noise=0.4)
     gloss = gloss_of(splats, lit_surface(splats), SourceLight(turned_sky(NOON, np.eye(3)), 0.0, "known"))
     assert (gloss > 0).mean() < 0.1
+
+
+def test_white_light_is_mirrored_as_bright_as_it_falls() -> None:
+    """The level of the captured light cannot be told from the material: twice as much of it is the same look."""
+    splats, light = captured(NOON, 0.3), turned_sky(NOON, np.eye(3))
+    # Bright enough that what is added to irradiances before one is divided by the other counts for nothing.
+    once, twice = (delight(splats, source=SourceLight(level * light, 0.0, "known"), up="+y") for level in (4, 8))
+    assert np.abs(views(once.splats)[0] - views(splats)[0]).max() > 0.1
+    np.testing.assert_allclose(views(twice.splats)[0], views(once.splats)[0], atol=0.01)
