@@ -60,7 +60,7 @@ def test_pictures_carry_where_they_were_seen_from(studio: Live, tmp_path: Path) 
     assert tuple(record["offset"]) == UTM
     image = drawn(splat_io.read(tmp_path / "near_far.ply")) / 255
     image[40:56, 40:56] = (0.9, 0.8, 0.1)
-    for camera in (moved_camera(view(), UTM), studio.studio.exports[-1].camera):
+    for camera in (moved_camera(view(), UTM), studio.studio.exports.items[-1].camera):
         checked = studio.post("picture.check", picture=studio.send(png_bytes(image, camera)))
         assert checked["camera_source"] == "chunk" and checked["share"] < 0.1
         there = np.array(checked["camera"]["world_to_camera"])

@@ -6,12 +6,12 @@ owner drops it before.
 from __future__ import annotations
 
 import weakref
-from collections import deque
 
 import numpy as np
 
 from splatpainter.kernels.arrays import aligned
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.latest import Latest
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -41,7 +41,7 @@ class SpareCopy:
         copy = aligned((len(values) + room, *values.shape[1:]), values.dtype)
         copy[: len(values)] = values
         self._of, self._copies = weakref.ref(values), [copy]
-        _offered.append(weakref.ref(self))
+        _offered.note(weakref.ref(self))
 
     def taken(self, values: np.ndarray, rows: int) -> np.ndarray | None:
         """[rows, ...] to be written to, its first N rows those of `values`; None where it is no copy of that, was taken
@@ -55,8 +55,7 @@ class SpareCopy:
         return copy[:rows] if rows <= len(copy) else None
 
 
-_offered: deque[weakref.ref[SpareCopy]] = deque(maxlen=SPARE_LIMITS.most_offered)
-"""The latest last."""
+_offered = Latest["weakref.ref[SpareCopy]"](SPARE_LIMITS.most_offered)
 
 
 def spare_copies(splats: Splats) -> tuple[SpareCopy, ...]:
@@ -70,7 +69,7 @@ def spare_copies(splats: Splats) -> tuple[SpareCopy, ...]:
 def spare_copy_of(values: np.ndarray, rows: int) -> np.ndarray | None:
     """A copy of the very same array that somebody made ahead, as [rows, ...] of which the first N are filled; None
     where there is none."""
-    for reference in reversed(tuple(_offered)):
+    for reference in _offered:
         spare = reference()
         copy = None if spare is None else spare.taken(values, rows)
         if copy is not None:

@@ -10,7 +10,6 @@ import contextlib
 import secrets
 import threading
 import warnings
-from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
 from pathlib import Path
@@ -51,7 +50,9 @@ from splatpainter.session import Session
 from splatpainter.session.document.layer_factory import thumbnail
 from splatpainter.session.project.scratch import ScratchFolder, sweep_folder, sweep_scratch
 from splatpainter.splats import Splats
+from splatpainter.system.latest import Latest
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.system.recent import Recent
 from splatpainter.system.user_folders import projects_folder
 
 MAX_EARLIER = 3
@@ -103,8 +104,9 @@ class Studio:
         # A project that has a picture of this version needs no other.
         self._drawn: int | None = None
         """Version of the session of which its project has a picture; None: it has none."""
-        self.exports: deque[NamedView] = deque(maxlen=MAX_EXPORTED_VIEWS)
-        self._sourced: OrderedDict[str, dict[str, Any]] = OrderedDict()
+        self.exports = Latest[NamedView](MAX_EXPORTED_VIEWS)
+        # The latest ones only: a picture may be kept for a long time and never be painted with.
+        self._sourced = Recent[dict[str, Any]](MAX_SOURCED_PICTURES)
         """Pictures that a source made: sha256 -> what receipts say of it."""
         self.news: list[str] = []
         """What was found of a project that was closed, opened or taken over, for people."""
@@ -365,14 +367,11 @@ class Studio:
     def note_source(self, picture: str, record: dict[str, Any] | None) -> None:
         """A picture of a source, by its hash; record: what receipts say of it, None: nothing."""
         if record is not None:
-            # The latest ones only: a picture may be kept for a long time and never be painted with.
-            self._sourced[picture] = record
-            while len(self._sourced) > MAX_SOURCED_PICTURES:
-                self._sourced.popitem(last=False)
+            self._sourced.put(picture, record)
 
     def source_of(self, pictures: Sequence[str]) -> dict[str, Any] | None:
         """What receipts say of the sources of some pictures, all in one; None: no source made them."""
-        records = [self._sourced[picture] for picture in pictures if picture in self._sourced]
+        records = [record for picture in pictures if (record := self._sourced.find(picture)) is not None]
         # All views of a layer may come from one source; its record then lists them together.
         if not records:
             return None

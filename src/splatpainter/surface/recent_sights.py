@@ -6,12 +6,12 @@ kept for the next one, which often paints there again.
 from __future__ import annotations
 
 import weakref
-from collections import deque
 
 from splatpainter.cameras import Camera, same_camera
 from splatpainter.kernels.arrays import keeps_idle_memory
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.visible import SightEstimates
+from splatpainter.system.latest import Latest
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -27,17 +27,14 @@ class RecentSightLimits:
 
 RECENT_SIGHTS = RecentSightLimits()
 
-_recent: deque[tuple[weakref.ref[SightEstimates], weakref.ref[Surface], Camera]] = deque(
-    maxlen=RECENT_SIGHTS.most_recent
-)
-"""The latest last."""
+_recent = Latest[tuple[weakref.ref[SightEstimates], weakref.ref[Surface], Camera]](RECENT_SIGHTS.most_recent)
 _latest: list[tuple[SightEstimates, weakref.ref[Surface]]] = []
 """Those of the latest edit, or none."""
 
 
 def note_sight(surface: Surface, camera: Camera, sight: SightEstimates) -> None:
     """Offer what is known of a surface along lines of sight of a camera."""
-    _recent.append((weakref.ref(sight), weakref.ref(surface), camera))
+    _recent.note((weakref.ref(sight), weakref.ref(surface), camera))
 
 
 def keep_sight(surface: Surface, camera: Camera, sight: SightEstimates) -> None:
@@ -51,7 +48,7 @@ def keep_sight(surface: Surface, camera: Camera, sight: SightEstimates) -> None:
 
 def recent_sight(surface: Surface, camera: Camera) -> SightEstimates | None:
     """The latest that somebody holds, of the very same surface and the same camera; None where there is none."""
-    for reference, of_surface, of_camera in reversed(tuple(_recent)):
+    for reference, of_surface, of_camera in _recent:
         sight = reference()
         if sight is not None and of_surface() is surface and same_camera(of_camera, camera):
             return sight

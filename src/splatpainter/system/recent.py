@@ -70,7 +70,8 @@ class Recent(Generic[_Item]):
             return iter([*self.items.values()])
 
     def __contains__(self, key: Any) -> bool:
-        return key in self.items
+        with self._lock:
+            return key in self.items
 
     def _is_full(self) -> bool:
         if self.most is not None and len(self.items) > self.most:

@@ -5,7 +5,6 @@ the same camera cuts out of one what they need. Nothing is held here: a view is 
 from __future__ import annotations
 
 import weakref
-from collections import deque
 
 import numpy as np
 
@@ -14,12 +13,13 @@ from splatpainter.cameras import Camera, same_camera
 from splatpainter.rendering import check_views
 from splatpainter.rendering.cpu.projected_view import ProjectedView, copy_tiles, project
 from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.system.latest import Latest
 from splatpainter.system.quick_dataclass import dataclass
 
 MAX_RECENT = 8
 """Views that are looked through."""
-_recent: deque[tuple[weakref.ref[ProjectedView], tuple[weakref.ref[np.ndarray], ...], bool]] = deque(maxlen=MAX_RECENT)
-"""(view, attributes of the Gaussians that were projected, whether antialiased), the latest last."""
+_recent = Latest[tuple[weakref.ref[ProjectedView], tuple[weakref.ref[np.ndarray], ...], bool]](MAX_RECENT)
+"""(view, attributes of the Gaussians that were projected, whether antialiased)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,21 +42,20 @@ class DrawnView:
         return out
 
 
-_drawn: deque[weakref.ref[DrawnView]] = deque(maxlen=MAX_RECENT)
-"""The latest last."""
+_drawn = Latest[weakref.ref[DrawnView]](MAX_RECENT)
 
 
 def note_view(splats: Splats, view: ProjectedView) -> None:
     """Offer a view of numpy `splats` in which all tiles are drawn."""
     assert view.tiles.all() and view.num_gaussians == len(splats)
     arrays = tuple(weakref.ref(getattr(splats, name)) for name in ATTRIBUTES)
-    _recent.append((weakref.ref(view), arrays, splats.antialiased))
+    _recent.note((weakref.ref(view), arrays, splats.antialiased))
 
 
 def recent_view(splats: Splats, camera: Camera) -> ProjectedView | None:
     """What `project` would give, up to Gaussians that touch no tile, where somebody holds it. Of arrays that are the
     very same: they are not written to."""
-    for reference, arrays, antialiased in reversed(tuple(_recent)):
+    for reference, arrays, antialiased in _recent:
         view = reference()
         if view is None or antialiased != splats.antialiased or not same_camera(view.camera, camera):
             continue
@@ -68,7 +67,7 @@ def recent_view(splats: Splats, camera: Camera) -> ProjectedView | None:
 def recent_drawing(splats: Splats, camera: Camera) -> DrawnView | None:
     """What `drawn_view` would give, where somebody holds it."""
     view = recent_view(splats, camera.within(splats.offset))
-    for reference in reversed(tuple(_drawn)):
+    for reference in _drawn:
         drawn = reference()
         if drawn is not None and drawn.view is view:
             return drawn
@@ -101,5 +100,5 @@ def _noted(view: ProjectedView, pictures: tuple[np.ndarray, np.ndarray, np.ndarr
     for picture in pictures:
         picture.flags.writeable = False
     drawn = DrawnView(view, *pictures)
-    _drawn.append(weakref.ref(drawn))
+    _drawn.note(weakref.ref(drawn))
     return drawn

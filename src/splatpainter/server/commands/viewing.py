@@ -137,7 +137,7 @@ def export_view(context: CommandContext, request: ViewExport) -> ViewExported:
     preview = outputs[first] if plain else png_bytes(image, preview_camera)
     blob = studio.blobs.put(preview, f"{request.name}.png")
     # Remembered, so that the picture is known again when it comes back without its camera.
-    studio.exports.append(NamedView(first, sized, thumbnail(image)))
+    studio.exports.note(NamedView(first, sized, thumbnail(image)))
     keywords = {"bits": bits, "transparent": request.transparent, "aovs": list(aovs) or None}
     keywords["profile"] = None if request.profile == "inria" else request.profile
     line = python_line("session.files.export_view", first, RawExpr("camera"), **keywords)

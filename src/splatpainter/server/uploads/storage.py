@@ -286,10 +286,12 @@ def _temporary_projects() -> Path | None:
 
 @dataclass
 class Downloads:
-    """Files made for a download, by a secret key."""
+    """Files made for a download, by a secret key. May be used from several threads."""
 
     root: Path
-    _files: OrderedDict[str, Path] = field(default_factory=OrderedDict)
+    _files: dict[str, Path] = field(default_factory=dict)
+    """The latest last."""
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def folder(self) -> Path:
         """A new folder for one export."""
@@ -301,9 +303,10 @@ class Downloads:
         """The address to download it from; the oldest goes where there are too many."""
         key = secrets.token_urlsafe(16)
         # Exports are large, and most are fetched once and at once.
-        self._files[key] = path
-        while len(self._files) > MAX_DOWNLOADS:
-            _, oldest = self._files.popitem(last=False)
+        with self._lock:
+            self._files[key] = path
+            gone = [self._files.pop(oldest) for oldest in [*self._files][:-MAX_DOWNLOADS]]
+        for oldest in gone:
             files.remove(oldest)  # Windows: not while it is sent
         return f"/api/files/{key}/{path.name}"
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
@@ -24,13 +23,14 @@ from splatpainter.session.document.document import Layer
 from splatpainter.session.document.layer_operation import LayerOperation
 from splatpainter.session.document.layer_view import Blend, View
 from splatpainter.splats import ColorSpace, Splats
+from splatpainter.system.latest import Latest
 
 if TYPE_CHECKING:
     from PIL import Image
 
 MAX_RECENT_BYTES = 1 << 22
 """Most bytes of pixels that were encoded lately and are at hand when they are asked for, each."""
-_recent: deque[tuple[bytes, np.ndarray]] = deque(maxlen=3)
+_recent = Latest[tuple[bytes, np.ndarray]](3)
 """(bytes, pixels) of the latest picture, its mask, and a third one."""
 LEAST_COVERED = 128
 """Level of a mask's picture from which a pixel is in it; what lies above says how far it is covered."""
@@ -192,13 +192,13 @@ def _png(pixels: np.ndarray | Image.Image) -> bytes:
         # Frozen, as whoever reads it later gets this array itself.
         copy = pixels.copy()
         copy.flags.writeable = False
-        _recent.append((data, copy))
+        _recent.note((data, copy))
     return data
 
 
 def _recently_encoded(data: bytes, camera: Camera, mode: str) -> np.ndarray | None:
     """What `_pixels` would read of bytes that `_png` has just made of an array; None where it has not."""
-    for png, pixels in tuple(_recent):
+    for png, pixels in _recent:
         # By identity of the bytes: equal ones from a file would have to be compared, which costs more than it saves.
         if png is data and pixels.shape[:2] == (camera.height, camera.width):
             channels = 1 if pixels.ndim == 2 else pixels.shape[2]

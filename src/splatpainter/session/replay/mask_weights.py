@@ -35,14 +35,13 @@ class MaskWeights:
             return None
         # A key for every part: a further dab starts from the weights before it.
         keys = _keys(mask, result_key)
-        start = next((k for k in range(len(keys) - 1, -1, -1) if keys[k] in self._cache), None)
+        # Found in the step that asks, for another thread may drop them in between.
+        cached = ((k, self._cache.find(keys[k])) for k in range(len(keys) - 1, -1, -1))
+        start, weights = next((entry for entry in cached if entry[1] is not None), (0, None))
         # Masks are evaluated on what the layer made, which may be finer than what it lies on.
         splats = delta.apply(below.splats)
-        if start is None:
-            start = 0
+        if weights is None:
             weights = self._cache.put(keys[0], np.full(len(splats), 1.0 if mask.shows else 0.0, np.float32))
-        else:
-            weights = self._cache.find(keys[start])
         for k in range(start, len(mask.parts)):
             part = mask.parts[k]
             picture = None

@@ -5,31 +5,31 @@ asks about the way over a third one, need not compare all of their values. Only 
 from __future__ import annotations
 
 import weakref
-from collections import deque
 
 import numpy as np
 
 from splatpainter.splats import ATTRIBUTES, Splats, changed_rows
+from splatpainter.system.latest import Latest
 
 MAX_RECENT = 16
 """Pairs of assets whose changed rows are at hand."""
 MAX_ROWS = 1 << 18
 """Changed rows of a pair, beyond which comparing is as quick."""
 Arrays = tuple[weakref.ref[np.ndarray], ...]
-_recent: deque[tuple[Arrays, Arrays, np.ndarray]] = deque(maxlen=MAX_RECENT)
-"""(one asset, another, rows that both have and that differ), the latest last."""
+_recent = Latest[tuple[Arrays, Arrays, np.ndarray]](MAX_RECENT)
+"""(one asset, another, rows that both have and that differ)."""
 
 
 def note_changes(before: Splats, after: Splats, rows: np.ndarray) -> None:
     """Remember `changed_rows` of two assets (numpy)."""
     if len(rows) <= MAX_ROWS:
-        _recent.append((_references(before), _references(after), rows))
+        _recent.note((_references(before), _references(after), rows))
 
 
 def changes(before: Splats, after: Splats) -> np.ndarray:
     """`changed_rows` of two assets (numpy), [T] int64 ascending."""
     rows, over = None, []
-    for one, two, changed in reversed(tuple(_recent)):
+    for one, two, changed in _recent:
         for near, far in ((one, two), (two, one)):
             if _is(near, after):
                 if _is(far, before):
@@ -46,7 +46,7 @@ def changes(before: Splats, after: Splats) -> np.ndarray:
 def _over(before: Splats, middle: Arrays, changed: np.ndarray, count: int) -> np.ndarray | None:
     """Rows below `count` that may differ where `changed` do from `middle` on; None: any."""
     means = middle[0]()
-    for one, two, rows in reversed(tuple(_recent)):
+    for one, two, rows in _recent:
         for near, far in ((one, two), (two, one)):
             if _is(near, before) and _same(far, middle) and means is not None and len(means) >= count:
                 differs = np.zeros(len(means), bool)

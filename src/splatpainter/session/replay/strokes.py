@@ -156,9 +156,10 @@ class StrokeChains:
         the index of each stroke that has to be painted. Raises ValueError for the former, and what `progress` does."""
         count = len(layer.strokes)
         # From the latest state that is cached: undo asks for one before the last, painting for the last.
-        start = next((k for k in range(count, 0, -1) if chain.keys[k] in self._cache), 0)
-        if start:
-            painted = self._cache.find(chain.keys[start])
+        # Found in the step that asks, for another thread may drop it in between.
+        cached = ((k, self._cache.find(chain.keys[k])) for k in range(count, 0, -1))
+        start, painted = next((entry for entry in cached if entry[1] is not None), (0, None))
+        if painted is not None:
             # The layers below may be described otherwise than when it was cached.
             state = replace(painted.state, edited=below.edited, facts=below.facts, results=below.results)
             painted = replace(painted, state=state)
