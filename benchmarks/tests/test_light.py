@@ -62,6 +62,14 @@ def test_noise_of_the_truth_is_no_error() -> None:
     assert noiseless_psnr(views, noisy) == pytest.approx(-20 * np.log10(0.05), abs=1)
 
 
+def test_noiseless_is_a_mean_of_views_as_psnr_is() -> None:
+    """Two views, 20 and 40 dB off: 30 dB, where all their pixels as one have 23."""
+    one = case()
+    views = one.truth + np.array([0.1, 0.01])[:, None, None, None]
+    assert noiseless_psnr(views, one) == pytest.approx(30, abs=1e-4)
+    assert noiseless_psnr(views, one) == psnr(views, one)
+
+
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_specks_are_counted_where_the_truth_is_smooth(value: float) -> None:
     one = case()
@@ -118,6 +126,8 @@ def test_means_compare_with_the_same_objects() -> None:
     assert (nothing.albedo, ours.albedo, ours.lpips) == (None, 18.5, 0.2)
     assert (ours.psnr, ours.gain, ours.worst_gain, ours.objects) == (17.5, 2.5, 1.0, 2)
     assert (ours.noiseless, ours.noiseless_gain) == (35, 5)
+    assert ours.noiseless_gain_error == pytest.approx(3)  # gains of 8 and 2
+    assert mean_scores([score for score in scores if score.object == "a"])[1].noiseless_gain_error is None
 
 
 def test_from_start_to_end(tmp_path: Path) -> None:
