@@ -10,6 +10,7 @@ is. Warnings are errors. The checks, each in a process of its own:
     starts   every module that needs no extra is imported; a free-threaded Python is still one afterwards
     demo     `splatpainter demo` and `verify`; the bytes of the edited assets
     bytes    scripts/same_bytes.py: some 220 files of every command, of a session with undo, of a batch
+    at_once  the same command lines on three threads of one process: the bytes that each makes alone
     threads  tests/test_threads.py and other tests of work that runs at once, with pytest
     studio   the studio answers a request (where its packages can be installed)
 
@@ -173,6 +174,12 @@ def same_bytes(python: Python) -> tuple[bool, str]:
     return True, hashlib.sha256(sums.read_bytes()).hexdigest()
 
 
+def at_once(python: Python) -> tuple[bool, str]:
+    script = ROOT / "scripts" / "same_bytes.py"
+    code, printed = python.run("-W", "error", script, python.folder / "at_once", "--at-once", "3", log="at_once")
+    return code == 0 and printed.rstrip().endswith(" 0 files differ"), ""
+
+
 def threads(python: Python) -> tuple[bool, str]:
     tests = [ROOT / name for name in TESTS]
     code, _ = python.run(
@@ -196,7 +203,7 @@ def studio(python: Python) -> tuple[bool, str]:
 
 
 CHECKS: dict[str, Callable[[Python], tuple[bool, str]]] = {
-    "starts": starts, "demo": demo, "bytes": same_bytes, "threads": threads, "studio": studio,
+    "starts": starts, "demo": demo, "bytes": same_bytes, "at_once": at_once, "threads": threads, "studio": studio,
 }  # fmt: skip
 """Each tells (whether it passed, the hash of what it made or "")."""
 

@@ -3,6 +3,7 @@ tree that print the same list write the same bytes and say the same words.
 
     python scripts/same_bytes.py FOLDER                      # some 220 files and FOLDER/sums.txt, in a minute or two
     python scripts/same_bytes.py OTHER --against FOLDER      # the same, and what differs; exit 1 if anything does
+    python scripts/same_bytes.py FOLDER --at-once 3          # and all once more on each of three threads, as above
 
 Small inputs, made here. Everything runs in one process and in FOLDER, so that no path gets into a text. Hashed are the
 bytes of assets and pictures; of receipts, projects, pages and of what was printed the text, with seconds, dates,
@@ -20,6 +21,7 @@ import re
 import shutil
 import sqlite3
 import sys
+import threading
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -120,6 +122,8 @@ batch jobs.yaml --json
 batch wrong.yaml
 """
 """Command lines that make files, in order; `:name` is a step of this file, RUN the picture source."""
+OUTPUTS = ("--out", "--spread-confidence", "--source-report")
+"""Options of theirs that name what is made."""
 
 REFUSALS = """
 edit
@@ -222,6 +226,8 @@ class Options:
     """Where; made anew."""
     against: Annotated[Path | None, tyro.conf.arg(metavar="OTHER")] = None
     """A folder that was made before; what differs is printed."""
+    at_once: int = 0
+    """Threads that each make everything once more, all at once; what differs is printed."""
 
 
 def ball(count: int = 2500, degree: int = 2) -> Splats:
@@ -355,14 +361,15 @@ def content(path: Path) -> bytes:
 
 
 def dumped(path: Path) -> str:
-    """The rows of a project, but for dates, seconds and the bytes of stored results, which `project.ply` shows."""
+    """The rows of a project, but for its random id, dates, seconds and the bytes of stored results, which `project.ply`
+    shows."""
     with contextlib.closing(sqlite3.connect(path)) as database:
         tables = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type='table'")]
         lines = []
         for table in sorted(tables):
             for row in database.execute(f"SELECT * FROM {table}"):
                 cells = [hashlib.sha256(c).hexdigest() if isinstance(c, bytes) else str(c) for c in row]
-                if "edited" not in cells:
+                if "edited" not in cells and (table, cells[0]) != ("facts", "id"):
                     lines.append(struck(" | ".join([table, *cells])))
     return "\n".join(sorted(lines))
 
@@ -401,6 +408,56 @@ def make(folder: Path) -> dict[str, str]:
         os.chdir(before)
 
 
+def made_at_once(folder: Path, count: int) -> list[str]:
+    """What differs from FOLDER where so many threads of this process run its command lines again, each in an order of
+    its own and into a folder of its own. Texts are left out: they say where they lie."""
+    lines = [line.split() for line in COMMANDS.strip().splitlines() if not line.startswith((":", "batch"))]
+    differing: list[str] = []
+
+    def work(thread: int) -> None:
+        order = np.random.default_rng(thread).permutation(len(lines))
+        for words in (lines[k] for k in order):
+            outputs = [k + 1 for k, word in enumerate(words) if word in OUTPUTS]
+            outputs = [2] if words[0] == "convert" else outputs
+            there = [words[k] for k in outputs if Path(words[k]).exists()]
+            if not there:
+                continue
+            moved = [f"{thread}/{word}" if k in outputs else word for k, word in enumerate(words)]
+            try:
+                code: object = run_command([f"run={_tool()}" if word == "RUN" else word for word in moved])
+            except Exception as error:  # what a thread raises nobody else hears
+                code = repr(error)
+            for name in there:
+                if code or _binaries(Path(name)) != _binaries(Path(str(thread), name)):
+                    differing.append(f"{name} of thread {thread}: {' '.join(words)} ({code})")
+
+    before, interval = Path.cwd(), sys.getswitchinterval()
+    os.chdir(folder)
+    for thread in range(count):
+        Path(str(thread)).mkdir()
+    # With a GIL threads take turns five hundred times as often.
+    sys.setswitchinterval(1e-5)
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            threads = [threading.Thread(target=work, args=(thread,)) for thread in range(count)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+    finally:
+        sys.setswitchinterval(interval)
+        os.chdir(before)
+    return sorted(differing)
+
+
+def _binaries(path: Path) -> dict[str, str]:
+    """File -> hash of an asset, a picture, or of all of them in a folder."""
+    if not path.is_dir():
+        return {path.name: hashlib.sha256(content(path)).hexdigest()} if path.exists() else {}
+    return {name: digest for name, digest in sums(path).items() if not name.endswith(TEXT_ENDINGS)}
+
+
 def read_sums(folder: Path) -> dict[str, str]:
     lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
     return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
@@ -410,6 +467,11 @@ def main() -> int:
     options = tyro.cli(Options, description=__doc__)
     made = make(options.folder)
     print(f"{len(made)} files in {options.folder}")
+    if options.at_once:
+        other_bytes = made_at_once(options.folder, options.at_once)
+        print("\n".join([*other_bytes, f"{options.at_once} threads at once: {len(other_bytes)} files differ"]))
+        if other_bytes:
+            return 1
     if options.against is None:
         return 0
     other = read_sums(options.against)
