@@ -17,6 +17,8 @@ from splatpainter.system.quick_dataclass import dataclass
 
 CAMERAS = "cameras.json"
 ARGUMENTS = "cfg_args"
+INPUT_POINTS = "input.ply"
+"""The points that the trainer started from, in the cameras' world."""
 EXPOSURES = "exposure.json"
 MAX_ARGUMENT_BYTES = 1 << 16
 """Of cfg_args; it is one line."""

@@ -11,8 +11,8 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.captures import CapturedView, captured_views, exposures_of, is_capture
 from splatpainter.captures.colmap import MODEL_FILES, model_folder, other_models, photographs_of, read_points
-from splatpainter.captures.inria import EXPOSURES
-from splatpainter.captures.nerfstudio import TABLES
+from splatpainter.captures.inria import CAMERAS, EXPOSURES, INPUT_POINTS
+from splatpainter.captures.nerfstudio import MAX_TABLE_BYTES, TABLES, splat_frame
 from splatpainter.gatekeeper.photographs import (
     INVERSE_TURNS,
     carries_camera,
@@ -21,6 +21,7 @@ from splatpainter.gatekeeper.photographs import (
     straight_picture,
 )
 from splatpainter.image_files import find_camera, picture_header
+from splatpainter.io import files
 from splatpainter.io.folders import inside
 from splatpainter.io.foreign_captures import foreign_capture
 from splatpainter.io.positions import NO_OFFSET, Offset, float32_step
@@ -28,6 +29,7 @@ from splatpainter.kernels.portable import inverse, matmul
 from splatpainter.pictures.edit_files import has_aspect
 from splatpainter.pictures.picture_reader import Picture, read_picture
 from splatpainter.splats import Splats
+from splatpainter.system.jsonio import load_document
 from splatpainter.system.quick_dataclass import dataclass
 
 BACKGROUNDS = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
@@ -248,19 +250,24 @@ def first_gaussians(
     folder: Path, pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int, offset: Offset = NO_OFFSET
 ) -> tuple[Splats, str]:
     """(at most `rows` Gaussians to start with, a line that says where they come from): the points of COLMAP's
-    reconstruction where the folder's cameras are its, as 3DGS starts, else random points that no picture shows empty.
-    offset: what the pictures' cameras, and what comes out, are relative to.
-    Raises ValueError: no such point."""
+    reconstruction where the folder's cameras are its, or of the point cloud that lies with the folder's list of cameras
+    (point_cloud_of), as 3DGS starts, else random points that no picture shows empty. offset: what the pictures'
+    cameras, and what comes out, are relative to.
+    Raises ValueError: no such point, or a point cloud that cannot be read."""
     from splatpainter.fit.start import from_points
+    from splatpainter.io.formats.ply import read_ply_points
 
     model = _model_of(folder)
+    cloud = point_cloud_of(folder) if model is None else None
+    points, colors, name = np.zeros((0, 3)), np.zeros((0, 3)), ""
     if model is not None:
-        points, colors = read_points(model)
-        if len(points) >= MIN_POINTS:
-            chosen = np.random.default_rng(seed).permutation(len(points))[:rows]
-            name = f"{model.absolute().parent.name}/{model.name}"
-            line = f"the first Gaussians are {len(chosen):,} of the {len(points):,} points of {name}"
-            return from_points(points[chosen] - np.array(offset), colors[chosen], sh_degree), line
+        (points, colors), name = read_points(model), f"{model.absolute().parent.name}/{model.name}"
+    elif cloud is not None:
+        (points, colors), name = read_ply_points(cloud), cloud.name
+    if len(points) >= MIN_POINTS:
+        chosen = np.random.default_rng(seed).permutation(len(points))[:rows]
+        line = f"the first Gaussians are {len(chosen):,} of the {len(points):,} points of {name}"
+        return from_points(points[chosen] - np.array(offset), colors[chosen], sh_degree), line
     line = "no depth maps: the first Gaussians are random points where no picture shows empty space"
     return _carved(pictures, rows, sh_degree, seed), line
 
@@ -285,6 +292,23 @@ def _model_of(folder: Path) -> Path | None:
     named = not folder.is_dir() and folder.name not in MODEL_FILES
     uses_table = named or any(inside(folder, name).is_file() for name in TABLES)
     return None if uses_table else model_folder(folder)
+
+
+def point_cloud_of(source: Path) -> Path | None:
+    """The point cloud in the world of a list of cameras (its file, or the folder of it): input.ply beside INRIA's
+    cameras.json, what nerfstudio's transforms.json names as ply_file_path; None where there is none, or where a
+    dataparser_transforms.json moves the cameras."""
+    table = source
+    if source.is_dir():
+        table = next((one for name in (CAMERAS, *TABLES) if (one := inside(source, name)).is_file()), source)
+    if not table.is_file():
+        return None
+    cloud = inside(table.parent, INPUT_POINTS) if table.name == CAMERAS else None
+    if table.name in TABLES and splat_frame(table.parent) is None:
+        named = load_document(files.read_all(table), table, "the list of cameras", MAX_TABLE_BYTES)
+        path = named.get("ply_file_path") if isinstance(named, dict) else None
+        cloud = table.parent / path.replace("\\", "/") if isinstance(path, str) and path else None
+    return cloud if cloud is not None and cloud.is_file() else None
 
 
 def _carved(pictures: list[PosedPicture], rows: int, sh_degree: int, seed: int) -> Splats:

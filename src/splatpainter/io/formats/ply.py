@@ -70,6 +70,10 @@ class PlyFile:
     """What full red is in the file, where colours stand in for f_dc_*; None where they do not."""
 
 
+POINT_COLORS = ("red", "green", "blue")
+"""Of the points of a cloud: bytes, or floats 0..1."""
+
+
 def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None = None) -> Splats:
     """Read an INRIA PLY file (not a compressed one, see compressed_ply.py). lenient: also one whose elements behind the
     vertices are cut short; what is left of them is kept. offset: of the means; None: the one that they need.
@@ -102,6 +106,25 @@ def read_ply(path: Path, lenient: bool = False, offset: positions.Offset | None 
     problems += _range_problem(record, vertex)
     source = Source(str(path), "ply", splats, functools.partial(_sha256, record), record, tuple(problems))
     return replace(splats, source=source, origin=np.arange(len(splats), dtype=np.int64))
+
+
+def read_ply_points(path: Path) -> tuple[Floats, Floats]:
+    """([M, 3] float64 points, [M, 3] their colours 0..1) of a PLY file of a point cloud, as INRIA's trainer (input.ply)
+    and nerfstudio (sparse_pc.ply) write it; grey where it has no colours, without points that are not finite. Raises
+    ValueError with one line: broken header, truncated data, no points."""
+    with files.reading(path) as file:
+        header = read_header(file, path)
+        vertex = header.element("vertex")
+        if vertex is None or not {"x", "y", "z"} <= set(vertex.names) or vertex.has_lists:
+            raise ValueError(f"{path}: expected a point cloud with x, y and z of each point")
+        record, _ = _read_body(file, header, vertex, path, lenient=True)
+    points = record.rows.doubles(("x", "y", "z"))
+    colors = np.full(points.shape, 0.5)
+    if set(POINT_COLORS) <= set(vertex.names):
+        is_float = vertex.dtype("=")[POINT_COLORS[0]].kind == "f"
+        colors = np.clip(record.rows.doubles(POINT_COLORS) / (1 if is_float else 255), 0, 1)
+    finite = np.isfinite(points).all(1) & np.isfinite(colors).all(1)
+    return points[finite], colors[finite]
 
 
 def _range_problem(record: PlyFile, vertex: Element) -> list[str]:
