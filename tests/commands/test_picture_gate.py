@@ -183,3 +183,25 @@ def test_a_filter_beside_what_may_be_meant_is_not_said(
     monkeypatch.setattr(picture_gate, "filtered", lambda *_: Explanation("filter", "blurred", 0.1, 0.0))
     done = run(capfd, "edit", tmp_path / "ball.ply", view, "--out", tmp_path / "o.ply")
     assert done.code == 0 and "it looks like another look of it" in done.err and "blurred" not in done.err
+
+
+def test_a_remark_says_how_a_vignette_is_taken_back(tmp_path: Path, capfd: Capture) -> None:
+    splats = ball()
+    splats.sh[:, 0] = np.random.default_rng(0).uniform(-0.4, 0.4, (len(splats), 3)) / SH_C0  # detail everywhere
+    asset, grey = saved(tmp_path / "spots.ply", splats), "0.5,0.5,0.5"
+    shape = ["--views", 1, "--size", 160, "--background", grey]
+    assert run(capfd, "render", asset, "--out", tmp_path / "views", *shape).code == 0
+    view = Image.open(tmp_path / "views" / "view_000.png").convert("RGB")
+    view.paste((20, 200, 60), (74, 74, 86, 86))
+    pixels = np.asarray(view)
+    radius = np.hypot(*np.mgrid[-79.5:80, -79.5:80])[..., None] / np.hypot(80, 80)
+    plain = saved_beside(tmp_path / "view.png", "plain.png", pixels)
+    picture = saved_beside(tmp_path / "view.png", "dark.png", (pixels * (1 - 0.8 * radius**4)).round().astype(np.uint8))
+    remarked = run(capfd, "edit", asset, picture, "--out", tmp_path / "o.ply")
+    assert "towards its corners (a vignette); --correct takes that back and paints what is left" in remarked.err
+    touched = []
+    for one, more in ((plain, []), (picture, ["--correct"])):
+        done = run(capfd, "edit", asset, one, "--out", tmp_path / f"{one.stem}.ply", "--json", "--overwrite", *more)
+        assert done.code == 0, done.err
+        touched.append(done.json["receipt"]["touched_rows"])
+    assert 0.6 * touched[0] < touched[1] < 3 * touched[0]

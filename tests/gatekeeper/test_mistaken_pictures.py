@@ -236,6 +236,31 @@ def test_a_mistake_of_unknown_amount_is_named(name: str, dabbed: bool) -> None:
     assert explanation is not None and words in explanation.words, explanation
 
 
+def in_light(colors: np.ndarray) -> np.ndarray:
+    return encoded(decoded(colors) * (1 - 0.6 * radius() ** 2))
+
+
+@pytest.mark.parametrize("dab", [np.s_[90:130, 90:120], np.s_[96:144, 96:144]], ids=["beside", "in the middle"])
+@pytest.mark.parametrize("name", ["vignette", "strong vignette", "dark corners", "white vignette", "gradient", "light"])
+def test_shades_are_taken_back_and_paint_is_left(name: str, dab: tuple[slice, slice]) -> None:
+    """To rounding, also where a dab covers the middle, by which a vignette is told: nothing is painted beside it."""
+    painted = VIEW.copy()
+    painted[dab] = (0.1, 0.6, 0.2)
+    picture = eight_bits(in_light(painted) if name == "light" else FITTED[name][1](painted))
+    explanation = explain(picture, VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "shade"
+    assert explanation.mistake is not None and explanation.mistake.undone is not None
+    undone = np.ascontiguousarray(explanation.mistake.undone(picture), np.float32)
+    beside = ALPHA > 0.5
+    beside[dab] = False
+    assert np.quantile(np.abs(undone - painted).max(-1)[beside], 0.99) < 3.5 / 255
+    admitted = admit(undone, PictureRequest(VIEW, ALPHA), mask_sent=False)
+    beside = admitted.changed.copy()
+    beside[84:150, 84:150] = False
+    assert admitted.changed[dab].mean() > 0.98 and beside.mean() < 0.002
+    assert np.abs(admitted.image - painted)[dab].mean() < 0.015
+
+
 @pytest.mark.parametrize(("across", "down"), [(0.0, 0.02), (0.0, -0.02), (0.012, 0.0)])
 def test_small_bends_are_named(across: float, down: float) -> None:
     """Keystones of 2 % and a stretch of 1 %, which leave more than half of the detail where it was."""

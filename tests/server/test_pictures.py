@@ -17,6 +17,7 @@ from PIL import Image
 
 from splatpainter.color import srgb_to_linear
 from splatpainter.gatekeeper import crop_search
+from splatpainter.gatekeeper.borders import BORDER_NOTE
 from splatpainter.image_files import CAMERA_KEYWORD, encode_exr, to_uint8
 from splatpainter.lights.sky_maps import SkyMap, write_sky
 from splatpainter.pictures.lost_transparency import GROUND_NOTE
@@ -81,6 +82,25 @@ def test_a_grade_that_lifts_the_background_is_no_ground(studio: Live) -> None:
     checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
     assert GROUND_NOTE not in checked["notes"]
     assert any("most likely it is" in warning["message"] for warning in checked["warnings"])
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+@pytest.mark.parametrize("bar", [10, 24])  # also over all of the background
+def test_a_border_around_a_picture_is_no_paint(studio: Live, bar: int, scale: int) -> None:
+    larger = view(96 * scale)
+    image = np.clip(render(ball(), larger).colors[0], 0, 1)
+    mask = np.zeros(image.shape[:2], bool)
+    mask[40 * scale : 56 * scale, 36 * scale : 60 * scale] = True
+    image[mask] = (0.9, 0.8, 0.1)
+    rim = np.ones_like(mask)
+    rim[bar * scale : -bar * scale] = False  # over parts of the ball
+    image[rim] = 1
+    file = io.BytesIO()
+    Image.fromarray((image * 255).round().astype(np.uint8)).save(file, "PNG")
+    checked = studio.post("picture.check", picture=studio.send(file.getvalue()), camera=wire(view()))
+    assert BORDER_NOTE in checked["notes"] and checked["warnings"] == []
+    seen = fetch(studio, checked["mask"]) > 127
+    assert (seen & mask).sum() > 0.95 * mask.sum() and not (seen & rim).any()
 
 
 @pytest.mark.parametrize("ending", ["PNG", "JPEG"])

@@ -7,18 +7,30 @@ Pure. H, W: pixels of the view; h, w: of its small copy; colours are display sRG
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
 
 import numpy as np
 
-from splatpainter.color import LUMA
-from splatpainter.gatekeeper.small_copies import COPIES, Explanation, Mistake, SmallView, explained_by, mean_difference
+from splatpainter.color import LUMA, linear_to_srgb, srgb_to_linear
+from splatpainter.gatekeeper.small_copies import (
+    COPIES,
+    Change,
+    Explanation,
+    Mistake,
+    SmallView,
+    explained_by,
+    mean_difference,
+)
 from splatpainter.kernels import portable
 from splatpainter.kernels.portable import gram, matmul, solved, transposed_product
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
 from splatpainter.order_statistics import median
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.system.quick_dataclass import dataclass
+
+Field: TypeAlias = Callable[[tuple[int, ...]], np.ndarray]
+"""(H, W, ...) -> [H, W], one number for each pixel of a picture of that size."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +56,16 @@ class FitThresholds:
     """Rings around the middle of a picture whose shade is measured each."""
     min_lit: float = 0.04
     """Brightness from which a pixel says how much light is left of it."""
+    min_left: float = 0.05
+    """Light that is left at least where a shade is taken back: of less, rounding is all that would be seen."""
     min_ring_px: int = 8
     """Pixels of a ring that say so, at least."""
     max_middle_shade: float = 0.04
     """Loss in the middle of a picture, up to which a shade towards its corners leaves the middle alone."""
+    max_covered_rings: int = 6
+    """Rings in the middle that paint may cover whole."""
+    max_middle_slope: float = 1.5
+    """Loss per square of the distance from the middle beyond such rings, at most."""
     min_corner_shade: float = 0.1
     """Loss in the outermost ring, at least."""
     max_ring_rise: float = 0.02
@@ -172,37 +190,81 @@ def _mixture_words(full: np.ndarray) -> str:
 def _shadings(view: SmallView) -> Iterator[tuple[tuple[Mistake, np.ndarray], float]]:
     """Shades that fit the picture best, and what each makes of the view [h, w, 3], and the share of the picture that
     they must explain: towards the corners, dark and light, and from side to side."""
-    height, width = view.alpha.shape
-    y, x = np.mgrid[:height, :width] + 0.5
-    x, y = 2 * x / width - 1, 2 * y / height - 1
-    oval = portable.hypot(x, y) / math.sqrt(2)
-    round_ = portable.hypot(x * width, y * height) / portable.hypot(width, height)
     for dark in (True, False):
-        # Towards white is what towards black is of the negative.
-        before, after = (image if dark else 1 - image for image in (view.render, view.picture))
-        brightness = before.mean(-1)
-        lit = (brightness > FITS.min_lit) & (view.solid if view.paint_is_on_asset else True)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            left = np.where(lit, after.mean(-1) / brightness, 1)
-        vignette = VIGNETTE_WORDS if dark else LIGHT_VIGNETTE_WORDS
-        fields = [(vignette, _rings(left, lit, radius)) for radius in (oval, round_)]
-        for words, field in (*fields, (GRADIENT_WORDS, _slope(left, lit, x, y))):
-            if field is None:
-                continue
-            made = before * field[..., None]
-            made = (made if dark else 1 - made).astype(np.float32)
-            if _is_on_background(made, view):
-                yield (Mistake("shade", words, lambda colors: colors, spares="middle"), made), FITS.min_shaded
-            elif view.paint_is_on_asset and words == vignette:
-                made = np.where(view.bare[..., None], view.render, made)
-                words = f"{words}, but for its background"
-                yield (Mistake("shade", words, lambda colors: colors, spares="background"), made), FITS.min_shaded_asset
+        # Towards white is what towards black is of the negative; lenses and some sliders shade light, not values.
+        for linear in (False, True) if dark else (False,):
+            before, after = (_toward_black(image, dark, linear) for image in (view.render, view.picture))
+            brightness = before.mean(-1)
+            lit = (brightness > FITS.min_lit) & (view.solid if view.paint_is_on_asset else True)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                left = np.where(lit, after.mean(-1) / brightness, 1)
+            vignette = VIGNETTE_WORDS if dark else LIGHT_VIGNETTE_WORDS
+            fields = [(vignette, _rings(left, lit, radius)) for radius in (_oval, _round)]
+            for words, field in (*fields, (GRADIENT_WORDS, _slope(left, lit))):
+                if field is None:
+                    continue
+                made = _from_black(before * field(view.alpha.shape)[..., None], dark, linear).astype(np.float32)
+                if not _may_be_on_asset(made, view):
+                    continue
+                undone = _unshaded(field, dark, linear)
+                if _is_on_background(made, view):
+                    yield (Mistake("shade", words, lambda colors: colors, undone, "middle"), made), FITS.min_shaded
+                elif view.paint_is_on_asset and words == vignette:
+                    made = np.where(view.bare[..., None], view.render, made)
+                    words = f"{words}, but for its background"
+                    mistake = Mistake("shade", words, lambda colors: colors, undone, "background")
+                    yield (mistake, made), FITS.min_shaded_asset
 
 
-def _rings(left: np.ndarray, lit: np.ndarray, radius: np.ndarray) -> np.ndarray | None:
-    """[h, w] the light that is left in each ring around the middle; None where that is no shade towards the corners.
-    left, lit, radius: [h, w], radius 0..1."""
-    ring = np.minimum((radius * FITS.rings).astype(int), FITS.rings - 1)
+def _may_be_on_asset(made: np.ndarray, view: SmallView) -> bool:
+    """Whether the asset, too, is not as it was rendered where a shade reaches it: another ground around it is none."""
+    shaded = view.solid & (mean_difference(made, view.render) > COPIES.min_predicted)
+    return not shaded.any() or float(view.unchanged[shaded].mean()) <= COPIES.max_contradicting
+
+
+def _toward_black(colors: np.ndarray, dark: bool, linear: bool) -> np.ndarray:
+    """Colours [H, W, 3] in what a shade multiplies."""
+    colors = np.clip(colors if dark else 1 - colors, 0, 1)
+    return srgb_to_linear(colors) if linear else colors
+
+
+def _from_black(colors: np.ndarray, dark: bool, linear: bool) -> np.ndarray:
+    """The inverse of `_toward_black`."""
+    colors = np.clip(colors, 0, 1)
+    colors = linear_to_srgb(colors) if linear else colors
+    return colors if dark else 1 - colors
+
+
+def _unshaded(field: Field, dark: bool, linear: bool) -> Change:
+    def undone(colors: np.ndarray) -> np.ndarray:
+        light = np.maximum(field(colors.shape[:2]), FITS.min_left)
+        return _from_black(_toward_black(colors, dark, linear) / light[..., None], dark, linear)
+
+    return undone
+
+
+def _across(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """[H, W] x and y of a picture's pixels, -1..1 from side to side."""
+    height, width = shape[:2]
+    y, x = np.mgrid[:height, :width] + 0.5
+    return 2 * x / width - 1, 2 * y / height - 1
+
+
+def _oval(shape: tuple[int, ...]) -> np.ndarray:
+    """[H, W] 0 in the middle, 1 in the corners, along ellipses of the picture's shape."""
+    return portable.hypot(*_across(shape)) / math.sqrt(2)
+
+
+def _round(shape: tuple[int, ...]) -> np.ndarray:
+    """The same along circles."""
+    (x, y), (height, width) = _across(shape), shape[:2]
+    return portable.hypot(x * width, y * height) / portable.hypot(width, height)
+
+
+def _rings(left: np.ndarray, lit: np.ndarray, radius: Field) -> Field | None:
+    """The light that is left, by its distance from the middle; None where that is no shade towards the corners. left,
+    lit: [h, w]; radius: 0..1 of each pixel."""
+    ring = np.minimum((radius(left.shape) * FITS.rings).astype(int), FITS.rings - 1)
     centers, values = [], []
     for number in range(FITS.rings):
         inside = lit & (ring == number)
@@ -211,15 +273,27 @@ def _rings(left: np.ndarray, lit: np.ndarray, radius: np.ndarray) -> np.ndarray 
             values.append(float(median(left[inside])))
     if len(values) < FITS.rings // 2:
         return None
-    profile = np.asarray(values)
-    falls = np.diff(profile).max() <= FITS.max_ring_rise
-    if not falls or abs(1 - profile[0]) > FITS.max_middle_shade or profile[0] - profile[-1] < FITS.min_corner_shade:
+    # Most dabs are in the middle, where they cover rings whole: there the light rises as the square of the distance.
+    for covered in range(FITS.max_covered_rings + 1):
+        inner = centers[covered]
+        middle = FITS.max_middle_shade + (FITS.max_middle_slope * inner * inner if covered else 0)
+        rest = np.asarray(values[covered:])
+        if np.diff(rest).max() <= FITS.max_ring_rise and -FITS.max_middle_shade <= 1 - rest[0] <= middle:
+            break
+    else:
         return None
-    return portable.interp(radius, centers, profile)
+    if covered:  # the next one may be covered in part
+        covered, rest, inner = covered + 1, rest[1:], centers[covered + 1]
+    within = np.asarray(centers[:covered])
+    profile = np.concatenate([1 - (1 - rest[0]) * (within / inner) ** 2, rest])
+    if profile[0] - profile[-1] < FITS.min_corner_shade:
+        return None
+    return lambda shape: portable.interp(radius(shape), centers, profile)
 
 
-def _slope(left: np.ndarray, lit: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-    """[h, w] the light that is left, as a plane over the picture; None where it is level."""
+def _slope(left: np.ndarray, lit: np.ndarray) -> Field | None:
+    """The light that is left, as a plane over the picture; None where it is level. left, lit: [h, w]."""
+    x, y = _across(left.shape)
     terms = np.stack([np.ones_like(x), x, y], -1)
     samples, values, weight = terms[lit], left[lit], np.ones(int(lit.sum()))
     if len(values) < FITS.min_colored:
@@ -230,7 +304,15 @@ def _slope(left: np.ndarray, lit: np.ndarray, x: np.ndarray, y: np.ndarray) -> n
         plane = solved(normal, transposed_product(samples, (weight * values)[:, None]))
         error = np.abs(values - matmul(samples, plane)[:, 0])
         weight = 1 / (1 + (error / max(float(median(error)), FITS.min_deviation)) ** 2)
-    return matmul(terms, plane)[..., 0] if np.abs(plane[1:]).sum() >= FITS.min_corner_shade / 2 else None
+    if np.abs(plane[1:]).sum() < FITS.min_corner_shade / 2:
+        return None
+    constant, across, down = plane[:, 0].tolist()
+
+    def field(shape: tuple[int, ...]) -> np.ndarray:
+        x, y = _across(shape)
+        return constant + across * x + down * y
+
+    return field
 
 
 def _is_on_background(made: np.ndarray, view: SmallView) -> bool:

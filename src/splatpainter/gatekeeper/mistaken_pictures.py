@@ -22,6 +22,7 @@ from splatpainter.gatekeeper.fitted_mistakes import (
     moved_a_little,
     moved_outline,
 )
+from splatpainter.gatekeeper.local_contrast import raised_contrast
 from splatpainter.gatekeeper.small_copies import (
     COPIES,
     Change,
@@ -58,6 +59,9 @@ class MistakeThresholds:
     min_intact: float = 0.005
     """Share of the asset's detail below which nothing of it is as it was rendered. Other views and assets, and looks,
     leave 0.000 of it on eighteen views of six captures; paint over 90 % of the asset 0.007 and more."""
+    max_raised_intact: float = 0.4
+    """Share of the asset's detail that may be as it was rendered where it is asked whether its local contrast was
+    raised. A weak unsharp mask leaves up to 0.32 of it, on views of five assets."""
     intact_px: int = 3
     """Reach around a pixel within which it is asked how much is unchanged."""
     min_same: float = 0.9
@@ -259,11 +263,12 @@ def explain(
     if not view.compared.any():
         return None
     intact = intact_share(picture, render, alpha)
+    raised = raised_contrast(picture, render, alpha, view.agreeing) if intact < MISTAKES.max_raised_intact else None
     if view.agreeing <= MISTAKES.min_alike:
         # Every mistake is made of the render and compared; the best explanation wins ...
         judged = [*(_judged(mistake, view) for mistake in (*TURNS, *COLORS)), *fitted_mistakes(view)]
-        best = max(filter(None, judged), key=lambda one: one.agreeing_after, default=None)
-        if best is not None and (best.cause == "turned" or best.agreeing_after > MISTAKES.min_sure):
+        best = max(filter(None, (*judged, raised)), key=lambda one: one.agreeing_after, default=None)
+        if best is not None and (best is raised or best.cause == "turned" or best.agreeing_after > MISTAKES.min_sure):
             return best
         # ... against one smooth function of colour, which many mistakes of encoding resemble.
         nothing_left = view.agreeing <= MISTAKES.max_agreeing or intact < MISTAKES.min_intact
@@ -272,6 +277,8 @@ def explain(
         likeliest = likeliest or _graded_under_paint(view, nothing_left)
         if likeliest is not None:
             return likeliest
+    if raised is not None:
+        return raised
     # By a pixel or a degree small copies hardly move: that is looked for at full size, where little is intact.
     moved = moved_a_little(picture, render, alpha, view.agreeing) if _may_be_moved(view, intact) else None
     if moved is None and view.outline_is_elsewhere and min(view.alpha.shape) >= MISTAKES.min_registered_px:

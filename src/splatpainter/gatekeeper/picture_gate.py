@@ -8,7 +8,7 @@ what cannot be meant (a mirrored picture, another asset).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Literal
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
+from splatpainter.gatekeeper.borders import BORDER_NOTE, border_of, framed_picture, with_rim
 from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain, filtered
 from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.gatekeeper.strictness import Strictness
@@ -108,15 +109,18 @@ def checked_picture(
 
     explanation = why(view)
     on_ground, filter_of_view = looking()
-    # A grade changes the background, too: that is no ground of another program's.
-    if on_ground[1] is not view and (explanation is None or not explanation.is_grade):
+    compared, window = view, None
+    if policy != "force":
+        source, view, explanation, window = _without_border(source, view, splats, mode, explanation, why)
+    # A grade changes the background, too: that is no ground of another program's. Nor is a border.
+    if window is None and on_ground[1] is not compared and (explanation is None or not explanation.is_grade):
         source, view = on_ground
         explanation = why(view)
     if policy == "correct":
-        return CheckedPicture(_corrected(source, view, splats, mode, strictness, explanation))
+        return CheckedPicture(_corrected(source, view, splats, mode, strictness, explanation, window))
     warning = ""
     if explanation is not None and explanation.may_be_meant:
-        warning = f"{source.path}: it looks {explanation.words}" if free and policy == "refuse" else ""
+        warning = _remark(source, explanation) if free and policy == "refuse" else ""
     elif explanation is not None and free and policy == "refuse":
         raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
     elif explanation is not None and mode == "global" and explanation.cause == "other" and not _other_view(source):
@@ -127,13 +131,13 @@ def checked_picture(
     if policy == "force":
         source = replace(source, picture=replace(source.picture, encoding=None))
     elif is_judged:
-        encoding, filter_explanation = filter_of_view or _filter_of(source, view)
+        encoding, filter_explanation = (filter_of_view if window is None else None) or _filter_of(source, view)
         source = replace(source, picture=replace(source.picture, encoding=encoding))
         if explanation is None and filter_explanation is not None:
             explanation = filter_explanation
             if explanation.cause == "filter":
                 raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
-            warning = f"{source.path}: it looks {explanation.words}"
+            warning = _remark(source, explanation)
     return CheckedPicture(source, warning)
 
 
@@ -159,12 +163,20 @@ def _complaint(source: PictureFile, explanation: Explanation) -> str:
     return f"{source.path}: {differs}; most likely it is {words} (usual reasons: {USUAL_REASONS})"
 
 
+def _remark(source: PictureFile, explanation: Explanation) -> str:
+    """Of what may be meant."""
+    mistake = explanation.mistake
+    advice = "; --correct takes that back and paints what is left" if mistake is not None and mistake.undone else ""
+    return f"{source.path}: it looks {explanation.words}{advice}"
+
+
 def _advice(explanation: Explanation) -> str:
     ways = ["--mask M.png says what was painted"]
     if explanation.is_grade:
         ways.insert(0, "--mode global takes it as a look of the whole asset")
-    # A grade of the asset alone is taken back by no mistake.
-    if explanation.cause not in ("axes", "other", "filter") and (explanation.cause != "tone" or explanation.mistake):
+    # A grade of the asset alone, and most filters, are taken back by no mistake.
+    can_be_undone = explanation.cause not in ("filter", "tone") or explanation.mistake is not None
+    if explanation.cause not in ("axes", "other") and can_be_undone:
         ways.append("--correct puts it right and paints what is left")
     return f"nothing was painted: {', '.join(ways)}, --force paints with it as it is"
 
@@ -216,6 +228,36 @@ def _on_the_views_ground(source: PictureFile, view: _ComparedView, splats: Splat
     return replace(source, picture=picture, notes=(GROUND_NOTE, *source.notes)), seen
 
 
+def _without_border(
+    source: PictureFile,
+    view: _ComparedView,
+    splats: Splats,
+    mode: Mode,
+    explanation: Explanation | None,
+    why: Callable[[_ComparedView], Explanation | None],
+) -> tuple[PictureFile, _ComparedView, Explanation | None, tuple[slice, slice] | None]:
+    """The same with nothing painted where a border around the picture lies, why what it frames differs, and its rows
+    and columns, None where there is no border."""
+    if source.mask is not None or source.photograph is not None or source.cut_out:
+        return source, view, explanation, None
+    framed = framed_picture(
+        view.colors, view.render, view.cover, explanation, lambda colors: why(replace(view, colors=colors))
+    )
+    if framed is None:
+        return source, view, explanation, None
+    # Of a larger picture the larger one is painted with.
+    seen = view if source.view is None else _compared(source, splats)
+    border = border_of(seen.colors, seen.render, seen.cover)
+    if border is not None:
+        rest, picture = ~with_rim(border), source.picture
+        if mode == "spread":  # which takes transparency for thin paint
+            picture = replace(picture, colors=np.where(rest[..., None], seen.colors, seen.render), alpha=None)
+        else:
+            picture = replace(picture, alpha=rest * np.float32(1) if picture.alpha is None else picture.alpha * rest)
+        source = replace(source, picture=picture, notes=(BORDER_NOTE, *source.notes))
+    return source, replace(view, colors=framed.colors), framed.explanation, framed.window
+
+
 def _beside_itself(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
     """[H, W] bool: where a picture that was moved back may still lie beside its render [H, W, 3] by up to a pixel:
     within what that shows around the pixel, and of the same mean."""
@@ -244,12 +286,15 @@ def _corrected(
     mode: Mode,
     strictness: Strictness,
     explanation: Explanation | None,
+    window: tuple[slice, slice] | None,
 ) -> PictureFile:
-    """The picture after what explains it was undone, and through the gatekeeper: cut to what was painted."""
+    """The picture after what explains it was undone, and through the gatekeeper: cut to what was painted. window: rows
+    and columns within a border, which is left out."""
     from splatpainter.gatekeeper.gatekeeper import admit  # of pictures that are put right alone
     from splatpainter.sources.picture_source import PictureRequest
 
-    colors, notes = view.colors if source.picture.alpha is not None else source.picture.colors, list(source.notes)
+    as_compared = source.picture.alpha is not None or window is not None
+    colors, notes = view.colors if as_compared else source.picture.colors, list(source.notes)
     # First the mistake is undone, then the rest is a source's picture like any other.
     mistake, resampled = None if explanation is None else explanation.mistake, None
     if explanation is not None and mistake is not None and mistake.undone is not None:
@@ -263,28 +308,34 @@ def _corrected(
             colors, resampled = np.where(visible, colors, view.render), np.where(visible, resampled, view.render)
         notes.append(f"put right: it was {mistake.words}")
     mask = source.at_view().mask
+    # A border that became the render would be the one place without the picture's noise, so it is cut off.
+    inside = np.s_[:, :] if window is None else window
 
     def enlarged(factor: int) -> np.ndarray:
         larger = view.camera.resized(view.camera.width * factor, view.camera.height * factor)
         return np.clip(to_display(draw(splats, larger)[0], splats.color_space), 0, 1).astype(np.float32)
 
     admitted = admit(
-        colors,
-        PictureRequest(view.render, view.cover, None if mask is None else mask.astype(np.float32)),
+        colors[inside],
+        PictureRequest(view.render[inside], view.cover[inside], None if mask is None else mask.astype(np.float32)),
         strictness=strictness,
         regraded=mode == "global",
         mask_sent=False,
-        enlarged=None if source.view is None else enlarged,
-        resampled=resampled,
+        enlarged=None if source.view is None or window is not None else enlarged,
+        resampled=None if resampled is None else resampled[inside],
         name=str(source.path),
     )
-    height, width = admitted.changed.shape
+    image, changed = admitted.image, admitted.changed
+    if window is not None:
+        image, changed = view.render.copy(), np.zeros(view.cover.shape, bool)
+        image[window], changed[window] = admitted.image, admitted.changed
+    height, width = image.shape[:2]
     camera = view.camera if admitted.factor == 1 else view.camera.resized(width, height)
     return PictureFile(
         source.path,
-        Picture(admitted.image, None),
+        Picture(image, None),
         (width, height),
         camera,
-        admitted.changed,
+        changed,
         (*notes, *admitted.notes),
     )

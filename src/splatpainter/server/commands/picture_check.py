@@ -13,8 +13,9 @@ from pydantic import Field
 from splatpainter.cameras import Camera
 from splatpainter.captures import capture_of, named_views
 from splatpainter.color import to_display
+from splatpainter.gatekeeper.borders import BORDER_NOTE, framed_picture
 from splatpainter.gatekeeper.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
-from splatpainter.gatekeeper.mistaken_pictures import explain
+from splatpainter.gatekeeper.mistaken_pictures import Explanation, explain
 from splatpainter.gatekeeper.photographs import carries_camera, laid_over, photograph_edit
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.pictures.edit_files import over_render, unmultiplied
@@ -99,7 +100,8 @@ def check_picture(context: CommandContext, request: PictureCheck) -> PictureChec
     picture = unmultiplied(picture, alpha)
     placed = _placed(context, picture, camera, alpha, name)
     cover = render_alpha(studio.session.splats, placed.camera)
-    placed = _on_the_views_ground(context, placed, picture, cover)
+    framed = _without_its_border(placed, cover)
+    placed = _on_the_views_ground(context, placed, picture, cover) if framed is None else framed
     if blob.info.ending in LIGHT_MAGIC:
         placed = replace(placed, notes=[*placed.notes, "linear light, taken as a painted view and not as a sky"])
     mask = _edited(placed, picture, cover, request.threshold)
@@ -195,6 +197,18 @@ def _on_the_views_ground(context: CommandContext, placed: _Placed, picture: Pict
     if explanation is not None and explanation.is_grade:
         return placed
     return replace(placed, colors=colors, notes=[*placed.notes, GROUND_NOTE])
+
+
+def _without_its_border(placed: _Placed, cover: np.ndarray) -> _Placed | None:
+    """As it was rendered where a border around the picture lies; None where it has none."""
+    if placed.is_part:
+        return None
+
+    def why(colors: np.ndarray) -> Explanation | None:
+        return explain(colors, placed.render, cover)
+
+    framed = framed_picture(placed.colors, placed.render, cover, None, why)
+    return None if framed is None else replace(placed, colors=framed.colors, notes=[*placed.notes, BORDER_NOTE])
 
 
 def _has_its_pixels(placed: _Placed, picture: Picture) -> bool:
