@@ -1,7 +1,7 @@
 import { afterAll, beforeEach, describe, expect, it, vi } from "vitest";
 
 import { AGAIN_MS, RELOAD_MS, watchGraphics } from "../src/state/graphics";
-import { graphicsLost } from "../src/state/store";
+import { graphicsLost, working } from "../src/state/store";
 
 let stored: Record<string, string>;
 let now: number;
@@ -39,6 +39,22 @@ describe("a lost view", () => {
     vi.advanceTimersByTime(1);
     expect(seen.reloads).toBe(1);
     expect(graphicsLost.value).not.toBe(null);
+  });
+
+  it("while a film is made is reloaded once that is there", () => {
+    working.value = 2;
+    const seen = lost();
+    vi.advanceTimersByTime(60_000);
+    working.value = 1;
+    vi.advanceTimersByTime(60_000);
+    expect(seen.reloads).toBe(0);
+    working.value = 0;
+    vi.advanceTimersByTime(RELOAD_MS - 1);
+    expect(seen.reloads).toBe(0); // its download begins
+    vi.advanceTimersByTime(1);
+    expect(seen.reloads).toBe(1);
+    vi.advanceTimersByTime(60_000);
+    expect(seen.reloads).toBe(1);
   });
 
   it("that comes back at once does not reload again and again", () => {

@@ -13,6 +13,7 @@ import {
   stopped,
   toast,
   toasts,
+  working,
 } from "../state/store";
 import { BatchChip } from "./batch";
 import { LOADING_GAUSSIANS } from "../state/activity";
@@ -144,7 +145,9 @@ export function Away() {
           <br />
           {graphicsLost.value.again
             ? "This has happened twice: close what else uses the graphics card, or choose fewer pixels, then reload."
-            : "The page reloads in two seconds."}
+            : working.value > 0
+              ? "The page reloads when the file that is being made is finished."
+              : "The page reloads in two seconds."}
         </p>
         <Button label="Reload the page" text="Reload" primary onClick={() => location.reload()} />
       </div>
