@@ -548,3 +548,13 @@ def test_a_users_file_with_the_name_of_a_lock_is_left_alone(path: Path) -> None:
     with load(path) as session:
         assert "in the way" in session.read_only
     assert lock_path.read_bytes() == b"my notes"
+
+
+def test_why_a_project_is_read_only_is_said_whole_whatever_its_name(tmp_path: Path) -> None:
+    """The reason was cut out of an error's words, at the first "; ", which a name may hold, too."""
+    path = tmp_path / "cannot be locked (old; new).splatproj"
+    two_layers(path)
+    path.with_name(path.name + "-lock").write_bytes(b"my notes")
+    with load(path) as session:
+        assert f"({path.name}-lock is in the way): it is read-only" in session.read_only
+        assert not session.files.can_be_taken_over

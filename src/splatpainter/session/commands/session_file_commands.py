@@ -28,7 +28,6 @@ from splatpainter.session.project.database import SUFFIX
 from splatpainter.session.project.holder import other_holder
 from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.project_file import Project
-from splatpainter.session.project.project_opening import was_held
 from splatpainter.session.project.project_summary import PICTURE_FACT
 from splatpainter.session.project.scene_export import export_scene, scene_receipt
 from splatpainter.session.replay.snapshot import Snapshot
@@ -217,7 +216,7 @@ class SessionFileCommands:
     @property
     def _was_let_go_of(self) -> bool:
         project = self._core.project
-        return was_held(project.read_only) and project.path.is_file() and ProjectLock.is_free(project.path)
+        return project.was_held and project.path.is_file() and ProjectLock.is_free(project.path)
 
     @property
     def project_id(self) -> str:

@@ -25,6 +25,15 @@ LOCK_ENDING = "-lock"
 """Ending of the lock's file name, after the project's."""
 
 
+class LockRefused(ValueError):
+    """A project's lock that cannot be made, which is not that somebody holds it."""
+
+    def __init__(self, project: Path, reason: str, words: str = "cannot be locked", advice: str = "") -> None:
+        super().__init__(f"{project}: {words} ({reason}){f'; {advice}' if advice else ''}")
+        self.reason = reason
+        """Why, without the project's name: "its disk is mounted read-only"."""
+
+
 class ProjectLock:
     """Held from `take` until `release`."""
 
@@ -33,7 +42,7 @@ class ProjectLock:
 
     @staticmethod
     def take(project: Path) -> ProjectLock | None:
-        """The lock of a project file, or None: somebody holds it. Raises ValueError naming the project where none can
+        """The lock of a project file, or None: somebody holds it. Raises LockRefused naming the project where none can
         be made: its folder allows no new files or no locks, its disk is mounted read-only, or something else has the
         lock's name."""
         path = project.with_name(project.name + LOCK_ENDING)
@@ -49,7 +58,7 @@ class ProjectLock:
                     return ProjectLock(connection, path)
                 again.close()
             connection.close()
-        raise ValueError(f"{project}: cannot be locked")
+        raise LockRefused(project, "others lock and leave it again and again")
 
     @staticmethod
     def is_free(project: Path) -> bool:
@@ -84,7 +93,7 @@ def _locked(path: Path, project: Path, is_tried: bool = False) -> sqlite3.Connec
     try:
         is_new = not path.exists()
         if not is_new and (not path.is_file() or path.stat().st_size):  # ours are empty; `release` removes them
-            raise ValueError(f"{project}: cannot be locked ({path.name} is in the way)")
+            raise LockRefused(project, f"{path.name} is in the way")
         connection = sqlite3.connect(path, timeout=0, isolation_level=None, check_same_thread=False)
         connection.execute("PRAGMA journal_mode=OFF")
         connection.execute("BEGIN EXCLUSIVE")
@@ -99,8 +108,8 @@ def _locked(path: Path, project: Path, is_tried: bool = False) -> sqlite3.Connec
                 return None
             if is_new:
                 files.remove(path)
-            raise ValueError(f"{project}: cannot be locked ({NO_LOCKS}); {LOCAL_DISK}") from None
+            raise LockRefused(project, NO_LOCKS, advice=LOCAL_DISK) from None
         if is_unwritable(error) and is_mounted_read_only(path.parent):
-            raise ValueError(f"{project}: cannot be written ({READ_ONLY_DISK})") from None
+            raise LockRefused(project, READ_ONLY_DISK, "cannot be written") from None
         reason = "its folder allows no new files" if is_unwritable(error) else " ".join(str(error).split())
-        raise ValueError(f"{project}: cannot be locked ({reason})") from None
+        raise LockRefused(project, reason) from None

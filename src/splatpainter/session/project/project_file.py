@@ -42,6 +42,7 @@ from splatpainter.session.project.lock import ProjectLock
 from splatpainter.session.project.open_file import OpenFile, spare_copy, without_log
 from splatpainter.session.project.project_opening import (
     UNWRITABLE,
+    ReadOnly,
     create_database,
     lock_or_reason,
     lock_target,
@@ -81,8 +82,9 @@ class Project:
     """An open project file. `read_only` says why it cannot be written, "" where it can; `note` what was found beside it
     when it was opened, and where its layers went if it was replaced until it was closed; "": nothing."""
 
-    def __init__(self, bounded: Database, lock: ProjectLock | None, read_only: str, note: str = "") -> None:
-        self.path, self.read_only, self.note = bounded.path, read_only, note
+    def __init__(self, bounded: Database, lock: ProjectLock | None, reason: ReadOnly, note: str = "") -> None:
+        self.path, self.note = bounded.path, note
+        self.read_only, self.was_held = reason.words, reason.was_held
         self._database, self._db, self._lock = bounded, bounded.connection, lock
         self._file = None if lock is None else OpenFile(bounded.path)
         if lock is not None:
@@ -128,7 +130,7 @@ class Project:
             create_database(path, fill)
             try:
                 with database.one_line(path):
-                    return Project(open_database(path, readonly=False), lock, "")._settled()
+                    return Project(open_database(path, readonly=False), lock, ReadOnly(""))._settled()
             except BaseException:
                 for ending in ("", "-wal", "-shm", "-journal") if is_new else ():
                     files.remove(path.with_name(path.name + ending))
@@ -144,7 +146,7 @@ class Project:
         an error. despite_note: its user knows that it is not open on the computer whose note lies beside it. Raises
         ValueError: missing, damaged, no project, of another version."""
         database.check_head(path)
-        lock, reason, note = None, "opened for reading only", ""
+        lock, reason, note = None, ReadOnly("opened for reading only"), ""
         if not readonly:
             lock, reason = lock_or_reason(path, despite_note)
         try:
@@ -158,12 +160,12 @@ class Project:
                     except sqlite3.OperationalError as error:
                         if not is_unwritable(error):
                             raise
-                        reason = UNWRITABLE.format(" ".join(str(error).split()))
+                        reason = ReadOnly(UNWRITABLE.format(" ".join(str(error).split())))
                         lock.release()
                         lock = None
                 if bounded is None:
                     if readonly is False:
-                        raise ValueError(f"{path}: {reason}")
+                        raise ValueError(f"{path}: {reason.words}")
                     bounded = open_database(path, readonly=True)
                 return Project(bounded, lock, reason, note)._settled()
         except BaseException:

@@ -9,8 +9,9 @@ from pathlib import Path
 from splatpainter.io import files
 from splatpainter.session.project import database, holder
 from splatpainter.session.project.database import Database, closed_on_error
-from splatpainter.session.project.lock import ProjectLock
+from splatpainter.session.project.lock import LockRefused, ProjectLock
 from splatpainter.system.atomic import MAX_NAME_BYTES
+from splatpainter.system.quick_dataclass import dataclass
 
 ELSEWHERE = "open elsewhere: this copy is read-only; save_as makes one of your own"
 UNWRITABLE = "cannot be written ({}): it is read-only; save_as makes a copy that can be changed"
@@ -29,28 +30,30 @@ def open_database(path: Path, readonly: bool) -> Database:
         return bounded
 
 
-def was_held(reason: str) -> bool:
-    """Whether this, why a project cannot be written, is that somebody else had it open."""
-    return reason == ELSEWHERE or reason.startswith(holder.OPEN_THERE.partition("{")[0])
+@dataclass(frozen=True)
+class ReadOnly:
+    """Why a project can only be looked at."""
+
+    words: str
+    """One line; "": it can be changed."""
+    was_held: bool = False
+    """Whether it is that somebody else had it open."""
 
 
-def lock_or_reason(path: Path, despite_note: bool = False) -> tuple[ProjectLock | None, str]:
-    """(the lock of a project, "") or (None, why it cannot be written). despite_note: also where another computer's note
-    says that it is open there."""
+def lock_or_reason(path: Path, despite_note: bool = False) -> tuple[ProjectLock | None, ReadOnly]:
+    """(the lock of a project, nothing) or (None, why it cannot be written). despite_note: also where another computer's
+    note says that it is open there."""
     try:
         lock = ProjectLock.take(path)
-    except ValueError as error:
-        reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
-        return None, UNWRITABLE.format(
-            reason.removeprefix("cannot be locked (").removeprefix("cannot be written (").removesuffix(")")
-        )
+    except LockRefused as error:
+        return None, ReadOnly(UNWRITABLE.format(error.reason))
     if lock is None:
-        return None, ELSEWHERE
+        return None, ReadOnly(ELSEWHERE, was_held=True)
     # A lock that was given says nothing of other computers where locks do not reach them.
     if not despite_note and (other := holder.other_holder(path)):
         lock.release()
-        return None, holder.OPEN_THERE.format(other, holder.note_of(path).name)
-    return lock, ""
+        return None, ReadOnly(holder.OPEN_THERE.format(other, holder.note_of(path).name), was_held=True)
+    return lock, ReadOnly("")
 
 
 def check_free(path: Path, overwrite: bool) -> None:
