@@ -106,3 +106,30 @@ def test_equal_numbers_at_other_places_have_moved() -> None:
     moved = losses.measure(before, replace(before, offset=(0.0, 2.0, 0.0)))
     assert moved.move_largest == pytest.approx(float((2 / before.scales.max(1)).max()))
     assert moved.moved_share == float((2 / before.scales.max(1) > 1).mean())
+
+
+def test_large_files_tell_how_much_of_them_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also to whoever cancels meanwhile: what is raised ends the reading, on whichever thread it came."""
+    monkeypatch.setattr(files, "SHARED_BYTES", 1 << 12)
+    path = tmp_path / "large"
+    data = np.random.default_rng(0).integers(0, 256, 50_000, np.uint8).tobytes()
+    path.write_bytes(data)
+
+    def as_array() -> bytes:
+        with files.reading(path) as file:
+            return files.read_array(file, np.dtype(np.uint8), len(data)).tobytes()
+
+    for read in (lambda: files.read_all(path), as_array):
+        for threads in ("1", "2"):
+            monkeypatch.setenv(THREADS_VARIABLE, threads)
+            pieces: list[int] = []
+            with files.watched(pieces.append):
+                assert read() == data
+            assert len(pieces) > 10 and sum(pieces) == len(data)
+            assert read() == data and sum(pieces) == len(data), "no longer watched"
+
+            def stopped(count: int) -> None:
+                raise RuntimeError(count)
+
+            with pytest.raises(RuntimeError), files.watched(stopped):
+                read()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import hashlib
 import os
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,6 +28,7 @@ __all__ = [
     "sha256",
     "sync_folder",
     "take",
+    "watched",
     "writing",
 ]
 
@@ -38,6 +40,20 @@ PIECE_BYTES = 1 << 20
 """Read at a time of a file that is hashed."""
 SHARED_BYTES = 1 << 22
 """Read at a time by each of several threads."""
+
+
+_watcher: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.ContextVar("watcher", default=None)
+
+
+@contextlib.contextmanager
+def watched(note: Callable[[int], None]) -> Iterator[None]:
+    """`read_all` and `read_array` within call note(bytes) after every piece of a large file, from the thread that read
+    it; what it raises ends the reading."""
+    before = _watcher.set(note)
+    try:
+        yield
+    finally:
+        _watcher.reset(before)
 
 
 @contextlib.contextmanager
@@ -81,8 +97,15 @@ def begins_as_ply(head: bytes) -> bool:
 
 def read_all(path: Path) -> bytes:
     """The whole file."""
+    note = _watcher.get()
     with reading(path) as file:
-        return file.read()
+        if note is None:
+            return file.read()
+        pieces = []
+        while piece := file.read(SHARED_BYTES):
+            pieces.append(piece)
+            note(len(piece))
+        return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
 def read_array(file: BinaryIO, dtype: np.dtype, count: int) -> np.ndarray:
@@ -91,14 +114,19 @@ def read_array(file: BinaryIO, dtype: np.dtype, count: int) -> np.ndarray:
     out = np.empty(count, dtype)
     data = out.view(np.uint8).data if out.nbytes else memoryview(b"")
     start, fill = file.tell(), getattr(os, "preadv", None)  # Windows has none
+    note = _watcher.get()
     if fill is None or len(data) <= SHARED_BYTES:
         done = file.readinto(data) if len(data) else 0  # pyright: ignore[reportAttributeAccessIssue]
+        if note is not None:
+            note(done)
     else:
 
         def read(first: int) -> int:
             part, size = data[first : first + SHARED_BYTES], 0
             while size < len(part) and (more := fill(file.fileno(), [part[size:]], start + first + size)):
                 size += more
+            if note is not None:
+                note(size)
             return size
 
         done = sum(each(read, range(0, len(data), SHARED_BYTES)))

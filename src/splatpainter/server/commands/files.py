@@ -7,6 +7,8 @@ import json
 import os
 import shutil
 import tempfile
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,7 +31,10 @@ from splatpainter.server.uploads.storage import PROJECT, StoredBlob, demo
 from splatpainter.session import Session
 from splatpainter.session.project.disk_probe import locks_refused
 from splatpainter.session.project.scratch import scratch_folder
+from splatpainter.splats import Splats
 
+READ_SHARE = 0.3
+"""Of opening an asset, its file's reading."""
 MIN_FREE_BYTES = 64 << 20
 """That a disk has to have beside the project's own size: room for some hours of strokes."""
 
@@ -95,8 +100,8 @@ def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
 
     # A large asset takes a while at each of these; whoever cancels meanwhile has what was open before, and no new file.
     def make() -> Session:
-        splats = demo() if path is None else read(path)
-        report(0.3, "keeping it in a project")
+        splats = demo() if path is None else _read_watched(path, report)
+        report(READ_SHARE, "keeping it in a project")
         session = Session(splats, studio.projects.fresh(name))
         try:
             report(0.6, "preparing the view")
@@ -109,6 +114,21 @@ def open_asset(context: CommandContext, request: AssetOpen) -> Answer:
     with contextlib.nullcontext() if path is None else naming_errors(path, name):
         studio.open(make, name)
     return Answer(python=python_line("session = sp.Session", name))
+
+
+def _read_watched(path: Path, report: Callable[[float, str], None]) -> Splats:
+    """The asset of a file; how much of it is read is said up to READ_SHARE."""
+    size, done, mutex = max(path.stat().st_size, 1) if path.is_file() else 1, 0, threading.Lock()
+
+    def note(count: int) -> None:
+        nonlocal done
+        with mutex:  # several threads read one file
+            done += count
+            share = min(done / size, 1)
+        report(READ_SHARE * share, "reading")
+
+    with files.watched(note):
+        return read(path)
 
 
 class AssetUp(Command):
