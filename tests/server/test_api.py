@@ -491,3 +491,27 @@ def test_an_operation_is_a_layer_by_its_own_options(studio: Live) -> None:
 
 def test_every_kind_of_refusal_has_a_status() -> None:
     assert set(STATUS) == set(get_args(Problem.model_fields["kind"].annotation))
+
+
+def test_a_command_may_name_the_session_that_it_means(studio: Live) -> None:
+    """As messages of the socket: a script that goes on after another project was opened changes nothing there."""
+
+    def ask(name: str, session: str | None, /, **fields: object) -> tuple[int, dict]:
+        params = {} if session is None else {"session": session}
+        answer = studio.http.post(f"/api/do/{name}", params=params, json=fields)
+        return answer.status_code, answer.json()
+
+    meant = studio.http.get("/api/state").json()["session"]
+    assert ask("bookmark.add", meant, name="mine", camera=wire(view()))[0] == 200
+    assert ask("asset.open", meant, demo=True)[0] == 200
+    status, refused = ask("bookmark.add", meant, name="other", camera=wire(view()))
+    assert status == 409 and refused["error"]["kind"] == "project"
+    state = studio.http.get("/api/state").json()
+    assert state["session"] != meant and state["bookmarks"] == []
+    for session in (state["session"], None):
+        assert ask("bookmark.add", session, name="one", camera=wire(view()))[0] == 200
+    # Commands that are bound to no session, and those of no fields.
+    assert ask("asset.open", meant, demo=True)[0] == 200
+    assert ask("undo", meant)[0] == 409
+    parameters = studio.http.get("/api/openapi.json").json()["paths"]["/api/do/undo"]["post"]["parameters"]
+    assert [one["name"] for one in parameters] == ["session"]

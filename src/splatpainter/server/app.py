@@ -11,9 +11,9 @@ import functools
 import json
 import mimetypes
 from collections.abc import AsyncIterator
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, FastAPI, Request, WebSocket
+from fastapi import APIRouter, FastAPI, Query, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from pydantic import ValidationError
@@ -131,26 +131,31 @@ def _add_commands(app: FastAPI) -> None:
         return _failed(Problem(kind="input", message=" ".join(text.encode("utf-8", "replace").decode().split())))
 
 
+MeantSession = Annotated[
+    str | None, Query(description="Id of the session that is meant; refused where another is open")
+]
+
+
 @functools.cache
 def _command_routes() -> tuple[BaseRoute, ...]:
     """One route for each command, of any application: it takes a tenth of a second to describe them all."""
     router = APIRouter()
 
     def add(name: str, kind: type[Command]) -> None:
-        async def run(request: Request, command: Any) -> Response:
+        async def run(request: Request, command: Any, session: Any = None) -> Response:
             state = request.app.state
             try:
                 # Strokes of that one shared page wait for one another; other commands are ordered by the queue alone.
                 async with state.strokes if name.startswith("paint.") else contextlib.nullcontext():
-                    answer = await state.hub.execute(command, state.http_page, Ticket(), None)
+                    answer = await state.hub.execute(command, state.http_page, Ticket(), None, session)
             except CommandError as error:
                 return _failed(error.problem)
             return Response(answer.model_dump_json(), media_type="application/json", headers=NO_STORE)
 
         # The class is known only at run time, and FastAPI reads it from the annotations; so they are set by hand.
-        run.__annotations__ = {"request": Request, "command": kind, "return": Response}
+        run.__annotations__ = {"request": Request, "command": kind, "session": MeantSession, "return": Response}
         if not any(field.is_required() for field in kind.model_fields.values()):
-            run.__defaults__ = (kind(),)  # no body is needed
+            run.__defaults__ = (kind(), None)  # no body is needed
         # A class without a docstring inherits the base's, which describes no command in particular.
         about = " ".join((kind.__doc__ or "").split()) if kind.__doc__ != Command.__doc__ else ""
         router.add_api_route(
@@ -161,7 +166,7 @@ def _command_routes() -> tuple[BaseRoute, ...]:
             description=about,
             operation_id=name.replace(".", "_"),
             response_model=kind.ANSWER,
-            responses={status: {"model": Failure} for status in (400, 500, 503)},
+            responses={status: {"model": Failure} for status in (400, 409, 500, 503)},
             route_class_override=CommandRoute,
         )
 

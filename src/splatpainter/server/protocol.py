@@ -8,8 +8,8 @@ A message may name the "session" that it speaks of, by its id: one that changes 
 "project") where another project was opened before its turn came.
 Binary frames with changed Gaussians (frames.py) come BEFORE the answer of the command that changed them. The server
 also sends events: {"event": "state" | "toast" | "picture" | "batch", ...}. First message of a client: `hello`.
-Over HTTP the same, but for the session: POST /api/do/NAME with the fields as body, the answer as response (Gaussians:
-GET /api/splats).
+Over HTTP the same: POST /api/do/NAME with the fields as body, the session as ?session=ID, the answer as response
+(Gaussians: GET /api/splats).
 Big things in: POST /api/blobs (raw body) -> {"blob": sha256, "kind": ..., "name": ...}.  Out: GET /api/blobs/{blob}.
 Commands are defined beside what they do (commands/); those of the connection itself are here, client.py answers them.
 """
