@@ -175,6 +175,20 @@ def test_rigs_and_frames_are_of_a_model(ending: str, tmp_path: Path) -> None:
     assert [view.name for view in named_views(Path(f"{folder}:right/a.jpg"))] == ["right/a.jpg"]
 
 
+def test_photographs_of_one_name_are_told_by_their_folders(tmp_path: Path) -> None:
+    """Cameras of a rig number theirs alike: which was painted on was not found, though its folder said it."""
+    names = ["rig/cam0/0001.jpg", "rig/cam1/0001.jpg", "rig/cam1/0002.jpg"]
+    folder = write_colmap(tmp_path, some_cameras(), names, ending="bin")
+
+    def meant(picture: str) -> list[str]:
+        return [view.name for view in named_views(folder, None, Path(picture))]
+
+    assert meant("painted/cam1/0001.jpg") == meant("x/rig/CAM1/0001.png") == [names[1]]
+    assert meant("cam0/0001-edit.png") == [names[0]] and meant("elsewhere/0002.jpg") == [names[2]]
+    for unknown in ("0001.jpg", "cam2/0001.jpg", "cam0/0003.jpg"):
+        assert meant(unknown) == names
+
+
 @pytest.mark.parametrize("between", ["\n", "\n\n", "\r\n\r\n", "\n1.5 2 -1 3 4 17 5 6 -1 7 8 9\n"])
 @pytest.mark.parametrize("start", ["", "# Image list\n", "\ufeff# as Notepad saves\n"])
 def test_lines_of_points_may_be_missing_or_empty(start: str, between: str, tmp_path: Path) -> None:

@@ -110,9 +110,19 @@ def named_views(path: Path, asset: Path | None = None, picture: Path | None = No
         begun = [] if named else [view for view in views if view.is_called_on(picture.name)]
         lengths = [len(view.name.replace("\\", "/").rpartition("/")[2]) for view in begun]
         begun = [view for view, length in zip(begun, lengths, strict=True) if length == max(lengths)]
-        if len(exact or named or begun) == 1:
-            return exact or named or begun
+        likeliest = _in_its_folder(exact or named or begun, picture)
+        if len(likeliest) == 1:
+            return likeliest
     return views
+
+
+def _in_its_folder(views: list[CapturedView], picture: Path) -> list[CapturedView]:
+    """Those of several views whose photograph lies in a folder of the same name as the picture: cameras of a rig number
+    their photographs alike, cam0/0001.jpg and cam1/0001.jpg."""
+    folders = [part.casefold() for part in picture.absolute().parts[-2::-1]]
+    inner = [view.name.replace("\\", "/").casefold().split("/")[-2::-1] for view in views]
+    depths = [len(os.path.commonprefix([names, folders])) for names in inner]
+    return [view for view, depth in zip(views, depths, strict=True) if depth == max(depths)]
 
 
 def _is_one_camera(path: Path) -> bool:
