@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -515,3 +516,19 @@ def test_a_command_may_name_the_session_that_it_means(studio: Live) -> None:
     assert ask("undo", meant)[0] == 409
     parameters = studio.http.get("/api/openapi.json").json()["paths"]["/api/do/undo"]["post"]["parameters"]
     assert [one["name"] for one in parameters] == ["session"]
+
+
+def test_the_open_project_by_another_name_is_not_opened_twice(studio: Live, tmp_path: Path) -> None:
+    """On disks that do not tell capitals apart Work.splatproj is work.splatproj; here two links to one file are."""
+    folder = tmp_path / "shared"
+    with Session(ball(50), folder / "work.splatproj"):
+        pass
+    studio.post("project.open", file="work.splatproj")
+    session = studio.http.get("/api/state").json()["session"]
+    try:
+        os.link(folder / "work.splatproj", folder / "Work.splatproj")
+    except FileExistsError:
+        pass  # it is one already
+    studio.post("project.open", file="Work.splatproj")
+    state = studio.http.get("/api/state").json()
+    assert state["session"] == session and not state["project"]["read_only"]

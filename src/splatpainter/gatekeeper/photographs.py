@@ -26,6 +26,7 @@ from splatpainter.captures import CapturedView, capture_of, choose_one, is_captu
 from splatpainter.color import to_display
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera, is_exr, picture_header, to_uint8
+from splatpainter.io import files
 from splatpainter.lift.masks import box_mean, change_mask, changed_throughout, dilated, largest_channel
 from splatpainter.painter import Mode
 from splatpainter.pictures.edit_files import MIN_MASK, Photograph, PictureFile, edit_from_files, has_aspect
@@ -200,7 +201,7 @@ def photograph_edit(
     size = view.camera.width, view.camera.height
     # The photograph as it was taken, if the capture still has it, says best what was painted.
     original = view.picture()
-    if original is not None and original.resolve() == path.resolve():  # painted in its place
+    if original is not None and files.is_same(original, path):  # painted in its place
         original = None
     taken = None if original is None else read_photograph(original, size)
     if taken is not None and not has_aspect(taken.size, size):

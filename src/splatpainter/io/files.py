@@ -19,6 +19,7 @@ from splatpainter.system.atomic import remove, replace, sync_folder, writing
 __all__ = [
     "file_sha256",
     "holds",
+    "is_same",
     "read_all",
     "read_array",
     "read_head",
@@ -154,6 +155,15 @@ def holds(path: Path, pieces: Sequence[bytes | memoryview]) -> bool:
         for first in range(0, len(piece), SHARED_BYTES)
     ]
     return all(each(is_equal, parts))
+
+
+def is_same(one: Path, other: Path) -> bool:
+    """Whether two names are those of one file or folder: also in other capitals, where the disk does not tell these
+    apart, and through links."""
+    try:
+        return one.resolve() == other.resolve() or os.path.samefile(one, other)
+    except OSError:
+        return False
 
 
 def sha256(data: bytes | memoryview) -> str:

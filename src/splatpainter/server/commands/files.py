@@ -193,7 +193,7 @@ def open_project(context: CommandContext, request: ProjectOpen) -> Answer:
         assert studio.folder is not None
         options = {"folder": studio.folder.root}
     # One that is open already is not opened a second time.
-    if studio.session.path is None or path.resolve() != studio.session.path.resolve():
+    if studio.session.path is None or not files.is_same(path, studio.session.path):
         studio.open(lambda: Session.load(path, **options), name)
     return Answer(python=python_line("session = sp.Session.load", path.name))
 
@@ -343,7 +343,7 @@ def _roomy_folders(studio: Studio) -> dict[FolderKey, tuple[str, Path, int]]:
     for key, (name, folder) in named.items():
         with contextlib.suppress(OSError):
             free = shutil.disk_usage(folder).free
-            is_here = path is not None and folder.resolve() == path.parent.resolve()
+            is_here = path is not None and files.is_same(folder, path.parent)
             roomy = not is_here and free > size + MIN_FREE_BYTES and os.access(folder, os.W_OK)
             if roomy and not locks_refused(folder):
                 out[key] = (name, folder, free)
