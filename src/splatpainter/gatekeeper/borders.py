@@ -21,7 +21,7 @@ from splatpainter.system.quick_dataclass import dataclass
 
 
 @dataclass(frozen=True)
-class BorderThresholds:
+class PictureBorderThresholds:
     """What is taken for a border. Display values, pixels of the view; source: taste."""
 
     max_noise: float = 8 / 255
@@ -44,7 +44,7 @@ class BorderThresholds:
     """Alpha up to which a pixel shows background alone."""
 
 
-BORDERS = BorderThresholds()
+BORDERS = PictureBorderThresholds()
 BORDER_WORDS = "framed by a border of one colour (of a scan, a larger canvas, a screenshot, a film)"
 BORDER_NOTE = "its border of one colour is no paint"
 
