@@ -238,6 +238,39 @@ def test_a_pen_presses_from_nothing_is_taken_back_and_ends_where_it_was_seen(bro
 
 
 @pytest.mark.slow
+def test_the_barrel_of_a_pen_turns_the_view_and_its_other_end_erases(browser: Any, tmp_path: Path) -> None:
+    """Pointer events say button 5 of the eraser and 2 of the barrel (W3C's Pointer Events 3, 5.1.1.2)."""
+    pen = RAW.replace("[type, x, y, pressure, buttons]", "[type, x, y, pressure, buttons, button]")
+    pen = pen.replace('button: type === "pointerdown" ? 0 : -1', "button")
+    with opened_page(browser, tmp_path, still=True, resolution="1") as (_, page):
+        page.tab.keyboard.press("b")
+
+        def drawn(y: float, *pressed: tuple[int, int]) -> None:
+            """From left to right; pressed: (buttons, button) at the first point and at those where they change."""
+            for k, (buttons, button) in enumerate(pressed):
+                page.ask(pen, ["pointermove" if k else "pointerdown", 0.42 + 0.05 * k, y, 0.5, buttons, button])
+                page.ask(pen, ["pointermove", 0.45 + 0.05 * k, y, 0.5, buttons, -1])
+            page.ask(pen, ["pointerup", 0.4 + 0.05 * len(pressed), y, 0.0, 0, pressed[0][1]])
+
+        def labels() -> list[str]:
+            page.settled()
+            return [step["label"] for step in page.state()["history"]][1:]
+
+        drawn(0.45, (1, 0))
+        page.wait("a stroke", lambda: labels() == ["Brush in Paint"])
+        drawn(0.46, (32, 5))
+        page.wait("that it is erased", lambda: labels() == ["Brush in Paint", "Erase in Paint"])
+        # The barrel pressed during a stroke changes nothing; alone it turns the view, as the right button does.
+        drawn(0.55, (1, 0), (3, 2), (1, 2))
+        page.wait("one stroke", lambda: labels()[2:] == ["Brush in Paint"])
+        before = page.camera()["world_to_camera"]
+        drawn(0.5, (2, 2), (2, -1))
+        page.tab.wait_for_timeout(500)
+        assert len(labels()) == 3
+        assert page.camera()["world_to_camera"] != before
+
+
+@pytest.mark.slow
 def test_a_stroke_ends_where_the_window_was_resized_under_it(browser: Any, tmp_path: Path) -> None:
     """It went on in the pixels of the new view, and lay beside the pen."""
     with opened_page(browser, tmp_path, still=True) as (live, page):
