@@ -14,7 +14,7 @@ SP_INLINE u16 half_of(float value) {
 }
 
 // Bits of base colours in half precision; y00: the constant band's basis function.
-SP_SMALL void pack_base_colors(Pixels<const float, 3> sh, double y00, Rows<u16, 3> halves, i64 thread, i64 threads) {
+void pack_base_colors(Pixels<const float, 3> sh, double y00, Rows<u16, 3> halves, i64 thread, i64 threads) {
     constexpr double LARGEST = 65504;
     const Share share = share_of(sh.shape[0], thread, threads);
     for (i64 i = share.begin; i < share.end; ++i)
@@ -24,33 +24,50 @@ SP_SMALL void pack_base_colors(Pixels<const float, 3> sh, double y00, Rows<u16, 
         }
 }
 
-// Three magnitudes of 8 bits over a shared power of two, its 5 bits and three signs; NaN counts as 0.
-SP_SMALL void pack_harmonic_codes(Pixels<const float, 3> sh, Array2<u32> codes, i64 thread, i64 threads) {
-    constexpr float LARGEST = 3.402823466e38f;
-    const i64 columns = codes.shape[1];
+// Three magnitudes of 8 bits over a shared power of two, its 5 bits and three signs; NaN counts as 0. Sixteen
+// coefficients at a time: they lie one after the other but for each Gaussian's first.
+void pack_harmonic_codes(Pixels<const float, 3> sh, Array2<u32> codes, i64 thread, i64 threads) {
+    using V = Wide<float>;
+    using U = Wide<u32>;
+    using I = Wide<i32>;
+    const V largest_float = all(3.402823466e38f), zero = {};
+    const i64 columns = codes.shape[1], count = codes.shape[0] * columns;
     checked(codes.shape[0] - 1, sh.shape[0]), checked(columns, sh.shape[1]);
+    alignas(64) float values[3][LANES] = {};
+    alignas(64) u32 packed[LANES];
     const Share share = share_of(codes.shape[0], thread, threads);
-    for (i64 i = share.begin; i < share.end; ++i) {
-        const float* from = sh.row(i, 0) + 3;
-        u32* to = codes.row(i);
-        for (i64 j = 0; j < columns; ++j) {
-            float size[3], largest = 0;
-            u32 code = 0;
+    i64 row = share.begin, column = 0;
+    for (i64 first = share.begin * columns, end = share.end * columns; first < end; first += LANES) {
+        const i64 some = min_of<i64>(LANES, end - first);
+        for (i64 l = 0; l < some; ++l) {
+            const float* from = sh.row(row, 1 + column);
+            for (int c = 0; c < 3; ++c) values[c][l] = from[c];
+            if (++column == columns) column = 0, ++row;
+        }
+        SP_LANES(float, l) {
+            V size[3], largest = zero;
+            U code = {};
             for (int c = 0; c < 3; ++c) {
-                const float value = from[3 * j + c], magnitude = min_of(abs_of(value), LARGEST);
-                size[c] = value == value ? magnitude : 0.0f;
-                largest = max_of(largest, size[c]);
-                code |= (u32)(value < 0) << (24 + c);
+                const V value = load(&values[c][l]), magnitude = magnitude_of(value);
+                const V held = largest_float < magnitude ? largest_float : magnitude;
+                size[c] = value == value ? held : zero;
+                largest = size[c] > largest ? size[c] : largest;
+                code |= (U)(value < zero) & (1u << (24 + c));
             }
             // The power of two that is not smaller than the largest, from 2^-15 on.
-            const u32 bits = bits_of<u32>(largest);
-            const i32 power = (i32)(bits >> 23) - 126 - ((bits & 0x007fffffu) == 0) + 15;
-            const i32 exponent = power < 0 ? 0 : power > 31 ? 31 : power;
-            const float scale = 255.0f * bits_of<float>((u32)(142 - exponent) << 23);
+            const U bits = (U)largest;
+            const I power = (I)(bits >> 23) - 111 + (I)((bits & 0x007fffffu) == 0);
+            const I low = power < 0 ? I{} : power, exponent = low > 31 ? I{} + 31 : low;
+            const V scale = 255.0f * (V)((U)(142 - exponent) << 23);
             // Half a step is added before the cut, so that values are rounded.
-            for (int c = 0; c < 3; ++c) code |= (u32)(i32)min_of(size[c] * scale + 0.5f, 255.0f) << (8 * c);
-            to[j] = largest > 0 ? code | (u32)exponent << 27 : 0;
+            for (int c = 0; c < 3; ++c) {
+                const V step = size[c] * scale + 0.5f, held = 255.0f < step ? all(255.0f) : step;
+                code |= (U)__builtin_convertvector(held, I) << (8 * c);
+            }
+            code |= (U)exponent << 27;
+            store(&packed[l], largest > zero ? code : U{});
         }
+        __builtin_memcpy(codes.data + checked(first, count), packed, some * sizeof(u32));
     }
 }
 

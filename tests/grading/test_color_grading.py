@@ -26,6 +26,7 @@ from splatpainter.grading.color_grading import (
     tone_curve,
     white_balance,
 )
+from splatpainter.kernels import portable
 from splatpainter.splats import SH_C0
 
 GREYS = np.repeat(np.linspace(0, 1, 101)[:, None], 3, 1)
@@ -77,6 +78,20 @@ def test_contrast_has_its_slope_at_the_pivot_and_an_inverse(slope: float) -> Non
         [0, PIVOT, 1],
         atol=1e-12,
     )
+
+
+@pytest.mark.parametrize("slope", [0.4, 1.0, 2.5])
+def test_contrast_of_single_precision_is_two_powers_bit_for_bit(slope: float) -> None:
+    ends = [0, -0.0, 1, PIVOT, np.inf, -np.inf, np.nan]
+    levels = np.append(np.random.default_rng(6).normal(0.5, 0.6, 5999), ends).astype(np.float32).reshape(2, -1, 3)
+    value = levels.clip(0, 1)
+    dark = value < PIVOT
+    bent = portable.power(np.where(dark, value / PIVOT, (1 - value) / (1 - PIVOT)), slope)
+    expected = np.where(dark, PIVOT * bent, 1 - (1 - PIVOT) * bent)
+    for given in (levels, levels[::-1]):
+        out = adjust_contrast(given, slope)
+        assert out.dtype == np.float32
+        np.testing.assert_array_equal(out, expected if given is levels else expected[::-1])
 
 
 def test_saturation_zero_is_luma_and_two_doubles_the_distance_from_it() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from splatpainter.grading.color_grading import apply_to_sh, grade_sh
+from splatpainter.grading.color_grading import adjust_contrast, apply_to_sh, grade_sh
 from splatpainter.grading.color_match import AffineMap
 from splatpainter.kernels import portable
 from splatpainter.kernels.arrays import readonly
@@ -82,6 +82,12 @@ def grades() -> list[np.ndarray]:
     out += [grade_sh(sh[:, :bands].copy(), {"exposure": -0.5, "space": "linear"}) for bands in (1, 4)]
     levels = r.uniform(0, 1.2, 2003)
     return out + [portable.srgb(values, way) for values in (levels, levels.astype(F)) for way in (False, True)]
+
+
+@golden("b94a611b1951e4f0")
+def bent_levels() -> list[np.ndarray]:
+    levels = Numbers(27).uniform(-0.1, 1.1, 2003).astype(F)
+    return [adjust_contrast(levels, slope) for slope in (0.7, 1.9)]
 
 
 @golden("191e25a73460619d")

@@ -116,6 +116,11 @@ def adjust_contrast(display: FloatsOrTensor, slope: float) -> FloatsOrTensor:
     Raises ValueError unless slope > 0."""
     if slope <= 0:
         raise ValueError(f"look: expected a contrast above 0, got {slope:g}")
+    if isinstance(display, np.ndarray) and display.dtype == np.float32:
+        levels = np.require(display, np.float32, ["C", "A"])
+        out = np.empty_like(levels)
+        run(kernels.bend_levels, levels.reshape(-1), slope, PIVOT, out.reshape(-1))
+        return out
     value = display.clip(0, 1)
     power, where = (portable.power, np.where) if isinstance(value, np.ndarray | np.generic) else _torch_functions()
     # Two power curves that meet at middle grey with one slope: nothing clips at either end.

@@ -90,10 +90,10 @@ def preview_colors(sh: np.ndarray, gaussian_ids: np.ndarray, total: int, version
     [C, 1, 3] where only base colours change."""
     head = HEADER.pack(MAGIC, FORMAT, PREVIEW | PACKED, version, version, total, len(gaussian_ids), sh.shape[1])
     # A frame of all Gaussians leaves its indices out: they are 0 to total - 1.
-    index = b"" if len(gaussian_ids) == total else np.asarray(gaussian_ids, "<u4").tobytes()
-    base = pack_base(sh).astype("<f2").tobytes()
+    index = b"" if len(gaussian_ids) == total else np.asarray(gaussian_ids, "<u4").data
+    base, codes = pack_base(sh).astype("<f2", copy=False), pack_harmonics(sh).astype("<u4", copy=False)
     # Whole words before the codes, so that a page can view the bytes as arrays where they lie.
-    return b"".join([head, index, base, b"\0" * (-len(base) % 4), pack_harmonics(sh).astype("<u4").tobytes()])
+    return b"".join([head, index, base.data, b"\0" * (-base.nbytes % 4), codes.data])
 
 
 def pack(

@@ -41,7 +41,7 @@ from splatpainter.server.studio import Studio
 from splatpainter.session import Session
 from splatpainter.session.kinds.look_layers import look_of
 from splatpainter.session.replay.layer_blending import ADJUSTMENTS, adjust_sh
-from splatpainter.splats import Splats, changed_rows
+from splatpainter.splats import BLOCK_ROWS, Splats, changed_rows
 
 
 class HueSliders(options_message("HueOptions", HueBand, [entry.name for entry in fields(HueBand)])):
@@ -109,10 +109,16 @@ def preview_grade(context: CommandContext, request: GradePreview) -> Previewed:
     if len(ids):
         every = len(ids) == len(splats)  # as a rule; 100,000 Gaussians need not be copied for it
         new, old = (sh, splats.sh) if every else (sh[ids], splats.sh[ids])
-        new = new[:, :1] if np.array_equal(new[:, 1:], old[:, 1:]) else new
+        new = new[:, :1] if _same_bands(new, old) else new
         context.preview = frames.preview_colors(new, ids, len(splats), snapshot.version)
         context.previewed_ids = ids
     return Previewed(gaussians=len(ids))
+
+
+def _same_bands(new: np.ndarray, old: np.ndarray) -> bool:
+    """Whether no coefficient but the first of SH ([C, K, 3] each) differs: mostly the first rows tell that some do."""
+    blocks = (slice(k, k + BLOCK_ROWS) for k in range(0, len(new), BLOCK_ROWS))
+    return all(np.array_equal(new[block, 1:], old[block, 1:]) for block in blocks)
 
 
 class GradeCommit(Command):
