@@ -14,7 +14,16 @@ from PIL import Image
 from splatpainter import image_files
 from splatpainter.cameras import look_at
 from splatpainter.color import to_display, to_light
-from splatpainter.image_files import encode_exr, encode_png, exr_text, find_alpha, find_camera, quantized, read_deep
+from splatpainter.image_files import (
+    encode_exr,
+    encode_png,
+    exr_text,
+    find_alpha,
+    find_camera,
+    quantized,
+    quick_png,
+    read_deep,
+)
 from splatpainter.pictures.picture_reader import read_mask, read_picture
 
 RNG = np.random.default_rng(5)
@@ -134,6 +143,22 @@ def test_eight_bit_png_says_that_it_is_srgb(shape: tuple[int, ...]) -> None:
     for png in (display, data):
         with Image.open(io.BytesIO(png)) as image:
             assert np.array_equal(np.asarray(image), levels)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 1), (7, 19), (3, 4, 2), (1, 1, 3), (33, 18, 3), (6, 1, 4), (40, 51, 4)])
+def test_a_quick_png_holds_its_levels(shape: tuple[int, ...]) -> None:
+    levels = np.random.default_rng(3).integers(0, 256, shape).astype(np.uint8)
+    for pixels in (levels, np.zeros_like(levels), levels[::-1, ::-1]):
+        with Image.open(io.BytesIO(quick_png(pixels))) as image:
+            assert image.mode == ("L" if levels.ndim == 2 else ("LA", "RGB", "RGBA")[levels.shape[2] - 2])
+            assert np.array_equal(np.asarray(image), pixels)
+
+
+def test_a_quick_png_is_about_as_small_as_pillows_at_its_fastest() -> None:
+    rows, columns = np.mgrid[:200, :300].astype(np.float32)
+    waves = np.stack([rows / 200, columns / 300, 0.5 + 0.5 * np.sin(rows / 9) * np.cos(columns / 7)], -1)
+    pixels = quantized(waves + np.random.default_rng(4).normal(0, 0.01, waves.shape))
+    assert len(quick_png(pixels)) < 1.1 * len(encode_png(pixels, level=1))
 
 
 def test_every_picture_of_colours_says_so(tmp_path: Path) -> None:

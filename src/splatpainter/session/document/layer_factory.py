@@ -8,13 +8,12 @@ import io
 import warnings
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import from_display, to_display
-from splatpainter.image_files import MAX_PICTURE_PIXELS, to_uint8
+from splatpainter.image_files import MAX_PICTURE_PIXELS, quick_png, to_uint8
 from splatpainter.io import files
 from splatpainter.kernels.parallel import beside
 from splatpainter.lift.masks import edited_mask
@@ -24,9 +23,6 @@ from splatpainter.session.document.layer_operation import LayerOperation
 from splatpainter.session.document.layer_view import Blend, View
 from splatpainter.splats import ColorSpace, Splats
 from splatpainter.system.latest import Latest
-
-if TYPE_CHECKING:
-    from PIL import Image
 
 MAX_RECENT_BYTES = 1 << 22
 """Most bytes of pixels that were encoded lately and are at hand when they are asked for, each."""
@@ -167,7 +163,10 @@ def thumbnail(image: np.ndarray, mask: np.ndarray | None, few_colors: bool = Fal
         image = image[top : ys[-1] + margin + 1, left : xs[-1] + margin + 1]
     small = Image.fromarray(to_uint8(image))
     small.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
-    return _png(small.convert("RGB").quantize(THUMBNAIL_COLORS) if few_colors else small)
+    file = io.BytesIO()
+    small = small.convert("RGB").quantize(THUMBNAIL_COLORS) if few_colors else small
+    small.save(file, "PNG", compress_level=1)
+    return file.getvalue()
 
 
 def changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
@@ -181,14 +180,9 @@ def changed_pixels(splats: Splats, edit: Edit) -> np.ndarray:
     return mask
 
 
-def _png(pixels: np.ndarray | Image.Image) -> bytes:
-    from PIL import Image
-
-    file = io.BytesIO()
-    image = Image.fromarray(pixels) if isinstance(pixels, np.ndarray) else pixels
-    image.save(file, "PNG", compress_level=1)
-    data = file.getvalue()
-    if isinstance(pixels, np.ndarray) and pixels.nbytes <= MAX_RECENT_BYTES:
+def _png(pixels: np.ndarray) -> bytes:
+    data = quick_png(pixels)
+    if pixels.nbytes <= MAX_RECENT_BYTES:
         # Frozen, as whoever reads it later gets this array itself.
         copy = pixels.copy()
         copy.flags.writeable = False
