@@ -7,6 +7,7 @@ SP_KERNELS_TO_V3(view_parts,
     ONE(count_pairs),
     ONE(number_entries),
     ONE(take_pairs),
+    ONE(list_chosen_pairs),
     FLOAT_FIRST(put_entries),
     FLOAT_FIRST(merge_entries),
     ONE(merge_pairs)

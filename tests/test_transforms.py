@@ -17,6 +17,7 @@ from splatpainter.transforms import (
     principal_axes,
     quat_to_matrix,
     row_max,
+    row_mean,
     row_norm,
     sh_basis,
     sh_rotations,
@@ -168,3 +169,14 @@ def test_the_nearest_rotation_is_the_polar_factor():
         left, _, right = np.linalg.svd(matrix)
         np.testing.assert_allclose(nearest_rotation(matrix), left @ right, atol=1e-12)
     assert np.array_equal(nearest_rotation(np.eye(3)), np.eye(3))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_means_of_short_rows_are_numpys_bit_for_bit(dtype: type) -> None:
+    values = np.random.default_rng(7).normal(size=(40, 53, 4)).astype(dtype)
+    for count in range(1, 5):
+        for given in (values[..., :count], values[:, 0, :count], np.ascontiguousarray(values[..., :count])):
+            out = row_mean(given)
+            assert out.dtype == dtype
+            np.testing.assert_array_equal(out, np.ascontiguousarray(given).mean(-1))
+    assert row_mean(np.zeros((0, 3), dtype)).shape == (0,)

@@ -165,4 +165,35 @@ void merge_pairs(Array1<const i32> flatten_ids, Array1<const i32> pair_ids, Arra
     }
 }
 
+// The pairs of some entries (chosen [M], C of them), Q of P, in the order of the tiles' lists: pairs [Q] where in
+// flatten_ids they stand, begins [T + 1] where those of each tile begin, entries [Q] which of the chosen ones each is
+// of, pair_ids [Q] its place among all pairs in the order of these, pair_offsets [C + 1] where those of each begin.
+// number: [M] to be written to; pairs, entries and pair_ids have room for P. Q into total [1]. By one thread.
+SP_SMALL void list_chosen_pairs(Array1<const i32> flatten_ids, Array1<const i64> isect_offsets,
+                                Array1<const bool> chosen, Array1<i32> number, Array1<i64> pairs, Array1<i64> begins,
+                                Array1<i64> entries, Array1<i64> pair_ids, Array1<i64> pair_offsets, Array1<i64> total,
+                                i64 thread, i64) {
+    if (thread != 0) return;
+    const i64 tiles = isect_offsets.shape[0] - 1;
+    i64 count = 0, q = 0;
+    for (i64 i = 0; i < chosen.shape[0]; ++i) number(i) = chosen(i) ? (i32)count++ : -1;
+    for (i64 c = 0; c <= count; ++c) pair_offsets(c) = 0;
+    for (i64 k = 0; k < tiles; ++k) {
+        begins(k) = q;
+        for (i64 p = isect_offsets(k); p < isect_offsets(k + 1); ++p) {
+            const i32 entry = number(flatten_ids(p));
+            if (entry < 0) continue;
+            // How many there are is counted one place further on: the sum of those before is then where each begins.
+            pairs(q) = p, entries(q) = entry, ++pair_offsets(entry + 1);
+            ++q;
+        }
+    }
+    begins(tiles) = q, total(0) = q;
+    for (i64 c = 0; c < count; ++c) pair_offsets(c + 1) += pair_offsets(c);
+    // Each takes the next place of its entry, and the places go back to where they began.
+    for (i64 k = 0; k < q; ++k) pair_ids(k) = pair_offsets(entries(k))++;
+    for (i64 c = count; c > 0; --c) pair_offsets(c) = pair_offsets(c - 1);
+    if (count) pair_offsets(0) = 0;
+}
+
 } }  // namespace sp

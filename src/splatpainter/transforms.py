@@ -52,6 +52,16 @@ def row_max(values: np.ndarray) -> np.ndarray:
     return out
 
 
+def row_mean(values: np.ndarray) -> np.ndarray:
+    """[..., C] floats of few columns -> [...] the mean of each row, added from the first column to the last: the bits
+    of numpy's own mean, which takes five times longer along so short an axis."""
+    total = values[..., 0] + np.zeros((), values.dtype)
+    for column in range(1, values.shape[-1]):
+        total += values[..., column]
+    total /= values.shape[-1]
+    return total
+
+
 def row_norm(values: np.ndarray) -> np.ndarray:
     """[N, C] of few columns -> [N] the lengths of the rows: squares are added from the first column to the last, in an
     eighth of the time of numpy's own norm along so short an axis."""

@@ -16,7 +16,7 @@ from splatpainter.rendering import reference
 from splatpainter.rendering.cpu import projected_view, sirt
 from splatpainter.rendering.cpu.geometry import GAUSSIANS_PER_BLOCK, StepSizes
 from splatpainter.rendering.cpu.projected_view import _depth_order, project, tile_shape, tiles_of_mask
-from splatpainter.rendering.cpu.sirt import sirt_steps
+from splatpainter.rendering.cpu.sirt import pairs_of, sirt_steps
 from splatpainter.rendering.cpu.views import render_views, render_views_backward
 from tests.support.render_scenes import cameras, opaque_stack, scene, with_odd_gaussians
 
@@ -479,3 +479,19 @@ def test_tiles_drawn_anew_leave_the_others():
     part = view.rasterize(tiles=tiles)[0]
     assert np.array_equal(part[pixels], drawn[0][pixels])
     assert (part[~pixels] == np.array(camera.background, part.dtype)).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
+def test_pairs_of_chosen_entries_are_those_of_plain_lists(share: float) -> None:
+    view = project(scene(400, seed=12, dtype=np.float32), cameras(150, 110)[0])
+    chosen = np.random.default_rng(13).random(len(view)) < share
+    pairs, begins, entries, pair_ids, pair_offsets = pairs_of(view, chosen)
+    expected = np.flatnonzero(chosen[view.flatten_ids])
+    np.testing.assert_array_equal(pairs, expected)
+    np.testing.assert_array_equal(begins, np.searchsorted(expected, view.isect_offsets))
+    numbers = (np.cumsum(chosen) - 1)[view.flatten_ids[expected]]
+    np.testing.assert_array_equal(entries, numbers)
+    # In the order of the entries, and of the tiles' lists within each.
+    np.testing.assert_array_equal(np.argsort(numbers, kind="stable")[pair_ids], np.arange(len(pairs)))
+    counts = np.bincount(numbers, minlength=int(chosen.sum()))
+    np.testing.assert_array_equal(pair_offsets, np.append(0, np.cumsum(counts)))

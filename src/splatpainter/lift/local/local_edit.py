@@ -14,7 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
-from splatpainter.rendering.cpu.projected_view import Backprojection, MaskSums, ProjectedView, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import ATTRIBUTES, Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -131,12 +131,16 @@ def _split_patch(
     """([S] int64 the Gaussians in work, them as they are, them split)."""
     # First the mask's own tiles say who makes its pixels, then all tiles that those touch are in work.
     view = project(splats, camera, tiles=tiles_of_mask(mask))
-    reached = gaussians_in_mask(splats, camera, mask, allowed, view)
-    editable = reached & ~_hopeless(splats, view, mask, reached, options)
+    sums = view.mask_sums(mask, np.ones(mask.shape, bool))
+    reached = gaussians_in_mask(splats, camera, mask, allowed, view, sums[0])
+    editable = reached & ~_hopeless(splats, view, sums, reached, options)
     tiles = view.touched_tiles(editable[view.gaussian_ids])  # all of them make masked pixels
     tiles = tiles if within is None else tiles & within
-    ids = np.sort(project(splats, camera, tiles=tiles).gaussian_ids)
-    patch = before = Patch.of(splats.take(ids), camera, tiles, target, mask, editable[ids])
+    view = project(splats, camera, tiles=tiles)
+    ids = np.sort(view.gaussian_ids)
+    # The view of these alone is the same but for their numbers.
+    part = replace(view, gaussian_ids=np.searchsorted(ids, view.gaussian_ids), num_gaussians=len(ids))
+    patch = before = Patch.of(splats.take(ids), part, target, mask, editable[ids])
     for _ in range(options.max_halvings):
         # Halve until nobody's change varies over its footprint; a round sees what the last one left.
         coarse = patch.too_coarse(options)
@@ -158,7 +162,7 @@ def gaussians_in_mask(
     that count; view: the splats projected onto the mask's tiles, sums: how much of each the masked pixels show there,
     if at hand. Raises NothingPaintableError where there is none."""
     view = view or project(splats, camera, tiles=tiles_of_mask(mask))
-    sums = sums or _sums(view, mask)
+    sums = sums or view.mask_sums(mask, mask)[0]
     reached = np.zeros(view.num_gaussians, bool)
     # Both are needed: one bright pixel (peak), and not only a shimmer through the surface (visible share).
     reached[view.gaussian_ids[(sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)]] = True
@@ -169,18 +173,13 @@ def gaussians_in_mask(
     return reached
 
 
-def _sums(view: ProjectedView, mask: np.ndarray) -> Backprojection:
-    """How much of each Gaussian the masked pixels show."""
-    return view.backproject(np.zeros((*mask.shape, 3), np.float32), mask.astype(np.float32))
-
-
 def _hopeless(
-    splats: Splats, view: ProjectedView, mask: np.ndarray, reached: np.ndarray, options: LocalOptions
+    splats: Splats, view: ProjectedView, sums: tuple[MaskSums, MaskSums], reached: np.ndarray, options: LocalOptions
 ) -> Bools:
     """[N] bool: reached Gaussians that would be held back in the end (large, too faint to split, mostly outside the
-    mask), as far as the mask's tiles can say. Without them less of the picture is in work."""
-    ids, inside = view.gaussian_ids, _sums(view, mask)
-    everywhere = _sums(view, np.ones(mask.shape, bool)).weight
+    mask), as far as the mask's tiles can say. Without them less of the picture is in work. sums: how much of each in
+    the view the mask shows, and how much all pixels do."""
+    ids, inside, everywhere = view.gaussian_ids, sums[0], sums[1].weight
     # The large faint ones at the rim would pull the whole rest of the picture into work.
     faint = (
         reached[view.gaussian_ids]

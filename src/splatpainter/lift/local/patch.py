@@ -11,7 +11,6 @@ from dataclasses import field, replace
 import numpy as np
 
 from splatpainter.array_types import Bools
-from splatpainter.cameras import Camera
 from splatpainter.color import base_color
 from splatpainter.lift.colors import lift_colors, painted_sh, recolor
 from splatpainter.lift.local.detail import DETAIL, detail_layer
@@ -94,21 +93,22 @@ class Patch:
     """Evidence about the M Gaussians."""
 
     @staticmethod
-    def of(
-        splats: Splats, camera: Camera, tiles: np.ndarray, target: np.ndarray, mask: np.ndarray, editable: Bools
-    ) -> Patch:
-        """Nothing split yet. tiles: of the view, to work on; target, mask: the edited picture; editable: [S] bool."""
-        view = project(splats, camera, tiles=tiles)
+    def of(splats: Splats, view: ProjectedView, target: np.ndarray, mask: np.ndarray, editable: Bools) -> Patch:
+        """Nothing split yet. view: of the S Gaussians, the tiles to work on; target, mask: the edited picture;
+        editable: [S] bool."""
         image, alpha, _ = view.rasterize()
         inside = mask & (alpha > 0.02)  # tiles that are not drawn have none
         # Beyond the mask the target is what is there: Gaussians across its edge are held by those pixels.
-        change = np.where(inside[..., None], target - image, 0).astype(np.float32)
+        at, change = np.flatnonzero(inside), np.zeros(image.shape, np.float32)
+        reached = image.reshape(-1, 3)
+        change.reshape(-1, 3)[at] = target.reshape(-1, 3).take(at, 0) - reached.take(at, 0)
+        reached[at] += change.reshape(-1, 3).take(at, 0)
         evidence = Evidence.of(view, change, inside)
         share = np.zeros(len(splats), np.float32)
         share[view.gaussian_ids] = evidence.peak
-        lattice = Lattice.of(splats, camera)
+        lattice = Lattice.of(splats, view.camera)
         widths = row_max(lattice.widths)
-        return Patch(lattice, splats, widths, view, image + change, change, inside, editable, share, evidence)
+        return Patch(lattice, splats, widths, view, image, change, inside, editable, share, evidence)
 
     def too_coarse(self, options: LocalOptions) -> Bools:
         """[S] bool Gaussians over whose footprint the change varies too much, if they are large enough to split."""
@@ -215,9 +215,12 @@ class Patch:
     def detail(self, painted: Splats, options: LocalOptions) -> tuple[Splats, np.ndarray] | None:
         """(Gaussians, [A] the patch's Gaussian that each lies on) of the detail layer over the painted patch, if it
         needs one."""
-        view = project(painted, self.view.camera, tiles=self.view.tiles)
+        # Only colours have changed.
+        view = self.view.recolored(painted) or project(painted, self.view.camera, tiles=self.view.tiles)
         image, alpha, _ = view.rasterize()
         mendable = dilated(self.mask, options.rim_px) & _is_solid(view, alpha)
+        at = np.flatnonzero(mendable)
+        goal = self.target.reshape(-1, 3).take(at, 0)
         steps = (
             (DETAIL.reaches_px, 1.0, PATCHING.first_detail_rounds),
             (DETAIL.smallest_px, PATCHING.max_errors_left, PATCHING.last_detail_rounds),
@@ -225,8 +228,10 @@ class Patch:
         both, count, parent_ids = painted, len(painted), np.arange(len(painted))
         for reaches, errors, rounds in steps:
             # Only pixels that are wrong after painting get a Gaussian of their own.
-            wrong = row_max(np.abs(self.target - np.clip(image, 0, 1)).reshape(-1, 3)).reshape(alpha.shape)
-            layer = detail_layer(both, view, mendable & (wrong > errors * options.max_error), self.target, reaches)
+            error = row_max(np.abs(goal - np.clip(image.reshape(-1, 3).take(at, 0), 0, 1)))
+            wrong = np.zeros_like(mendable)
+            wrong.ravel()[at] = error > errors * options.max_error
+            layer = detail_layer(both, view, wrong, self.target, reaches)
             if layer is None:
                 break
             parent_ids = np.append(parent_ids, parent_ids[view.gaussian_ids[layer.parent_entries]])

@@ -65,8 +65,7 @@ class CachedWeights:
         """None where there would be more than MAX_CACHED_BLOCKS."""
         dtype = view.projected.dtype
         target, mask = readonly(target, dtype), readonly(mask, dtype)
-        pairs = np.flatnonzero(movable.take(view.flatten_ids))
-        begins = np.searchsorted(pairs, view.isect_offsets)
+        pairs, begins, entries, pair_ids, pair_offsets = pairs_of(view, movable)
         boxes = np.empty((len(pairs), 4), np.int64)
         tables = (view.projected, view.flatten_ids, view.tile_ids, view.tiles.shape[1], pairs, begins)
         run(kernels.find_block_boxes, *tables, boxes)
@@ -88,18 +87,26 @@ class CachedWeights:
             weights,
             remainder,
         )
-        entries = (np.cumsum(movable) - 1).take(view.flatten_ids.take(pairs))
-        pair_ids = np.empty(len(pairs), np.int64)
-        pair_ids[np.argsort(entries, kind="stable")] = np.arange(len(pairs))
-        num_movable = int(movable.sum())
-        pair_offsets = np.concatenate([[0], np.cumsum(np.bincount(entries, minlength=num_movable))])
         lists = (begins, boxes, block_offsets, entries, pair_ids, weights)
-        sums = _step_sums(lists, remainder, len(pairs), pair_offsets, np.zeros((num_movable, 3), dtype))
+        sums = _step_sums(lists, remainder, len(pairs), pair_offsets, np.zeros((len(pair_offsets) - 1, 3), dtype))
         return CachedWeights(sums[:, 3], lists, remainder, len(pairs), pair_offsets)
 
     def residual(self, colors: np.ndarray) -> np.ndarray:
         """[C, 3] sum_p w_ip m_p (target_p - image_p) with these colours ([C, 3], in the view's order)."""
         return _step_sums(self._lists, self._remainder, self._num_pairs, self._pair_offsets, colors)[:, :3]
+
+
+def pairs_of(view: ProjectedView, chosen: Bools) -> tuple[np.ndarray, ...]:
+    """Of the pairs of some entries (chosen: [M] bool, C of them): ([Q] int64 where in `flatten_ids` they stand, [T + 1]
+    where those of each tile begin, [Q] which of the chosen ones each is of, [Q] its place among the pairs in the order
+    of these, [C + 1] where the pairs of each begin)."""
+    count, total = len(view.flatten_ids), np.empty(1, np.int64)
+    pairs, entries, pair_ids = np.empty((3, count), np.int64)
+    begins, pair_offsets = np.empty(len(view.isect_offsets), np.int64), np.empty(int(chosen.sum()) + 1, np.int64)
+    lists = (view.flatten_ids, view.isect_offsets, readonly(chosen, np.bool_), np.empty(len(chosen), np.int32))
+    kernels.list_chosen_pairs(*lists, pairs, begins, entries, pair_ids, pair_offsets, total, 0, 1)
+    some = slice(int(total[0]))
+    return pairs[some], begins, entries[some], pair_ids[some], pair_offsets
 
 
 def _step_sums(
