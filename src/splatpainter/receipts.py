@@ -607,10 +607,15 @@ def score(pixels: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float | No
 def scores(images: Sequence[tuple[np.ndarray, ...]]) -> tuple[ViewScore, ...]:
     """One ViewScore per (render before, render after, edited picture, what was painted there by it or by another
     picture of the edit, scored part of its mask)."""
-    return tuple(
-        ViewScore(score(before, edited, scored), score(after, edited, scored), score(after, before, ~mask))
+    from splatpainter.kernels.parallel import each  # receipts are read without kernels
+
+    pairs = [
+        pair
         for before, after, edited, mask, scored in images
-    )
+        for pair in ((before, edited, scored), (after, edited, scored), (after, before, ~mask))
+    ]
+    values = each(lambda pair: score(*pair), pairs)
+    return tuple(ViewScore(*values[3 * k : 3 * k + 3]) for k in range(len(images)))
 
 
 class StageClock:

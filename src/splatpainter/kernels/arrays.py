@@ -104,6 +104,20 @@ def aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     return raw[start : start + size].view(dtype).reshape(shape)
 
 
+def copied(array: np.ndarray) -> np.ndarray:
+    """A C-contiguous copy in memory as of `aligned`: of whole pictures, of which an edit copies a few."""
+    out = aligned(array.shape, array.dtype)
+    out[...] = array
+    return out
+
+
+def filled(shape: tuple[int, ...], value: int, dtype: np.dtype) -> np.ndarray:
+    """np.full in memory as of `aligned`."""
+    out = aligned(shape, dtype)
+    out[...] = value
+    return out
+
+
 def readonly(array: np.ndarray, dtype: np.dtype | type) -> np.ndarray:
     """A C-contiguous, aligned, read-only view or copy of a dtype: what inputs of kernels must be."""
     # Most are such arrays already, and numpy asks in Python.

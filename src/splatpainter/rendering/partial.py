@@ -129,12 +129,13 @@ class PartialRender:
 
     def _redrawn(self, splats: Splats, tiles: np.ndarray, view: ProjectedView | None = None) -> PartialRender:
         """What it shows is of `splats` in these tiles, and as it was in all others. view: of `splats`, if at hand."""
+        from splatpainter.kernels.arrays import copied
         from splatpainter.rendering.cpu.projected_view import project
 
         if view is None or not self._has(view, tiles):
             if tiles.all():
                 return PartialRender.of(splats, self.camera, tiles)
             view = project(splats, self.camera, tiles=tiles)
-        pictures = {name: getattr(self, name).copy() for name in ("colors", "alphas", "depths")}
+        pictures = {name: copied(getattr(self, name)) for name in ("colors", "alphas", "depths")}
         view.redraw(tiles, *(pictures[name] for name in ("colors", "alphas", "depths")))
         return replace(self, splats=splats, tiles=self.tiles | tiles, **pictures, view=None)

@@ -12,10 +12,13 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
+from splatpainter.kernels.arrays import copied, filled, set_pixels
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.surface.visible import PixelSurface, VisibleSurface
 from splatpainter.system.quick_dataclass import dataclass
+
+INT64 = np.dtype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class FringedSurface:
         visible: VisibleSurface, covered: np.ndarray, fringe: Bools, nearest: np.ndarray | None = None
     ) -> FringedSurface:
         """covered, fringe: [H, W] bool, apart; nearest: `nearest_pixels` of the former, if at hand."""
-        source = np.full(covered.shape, -1, np.int64)
+        source = filled(covered.shape, -1, INT64)
         source[fringe] = (nearest_pixels(covered) if nearest is None else nearest)[fringe]
         return FringedSurface(visible, source)
 
@@ -98,8 +101,8 @@ def fringe_of(painted: np.ndarray, covered: np.ndarray, trusted: Bools, alpha: n
 def fringe_paint(target: np.ndarray, fringe: FringedSurface, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """([H, W, 3] float32 the picture with paint alone in the fringe's pixels, [H, W] float32 0..1 how much of them it
     covers; 1 elsewhere). A pixel of the outline may be a mixture of the paint beside it and of the background."""
-    colors, cover = target.copy(), np.ones(target.shape[:2], np.float32)
-    ys, xs = np.nonzero(fringe.source >= 0)
+    colors, cover = copied(target), np.ones(target.shape[:2], np.float32)
+    ys, xs = set_pixels(fringe.source >= 0)
     paint = target.reshape(-1, 3)[fringe.source[ys, xs]]
     way, seen = paint - background, target[ys, xs] - background
     # The share of paint in a pixel that is paint over background, by least squares along the line between both.

@@ -12,6 +12,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Bytes, Ids
 from splatpainter.cameras import Camera
+from splatpainter.kernels.arrays import filled
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.lift.nearest import nearest_pixels
@@ -54,7 +55,7 @@ class NearSurface:
     @staticmethod
     def of(visible: VisibleSurface | FringedSurface, covered: Bools) -> NearSurface:
         """covered: [H, W] bool, some."""
-        at, entry = np.flatnonzero(covered), np.full(covered.shape, -1, np.int64)
+        at, entry = np.flatnonzero(covered), filled(covered.shape, -1, np.dtype(np.int64))
         # Surface values are stored for covered pixels alone; others look them up through `nearest`.
         entry.ravel()[at] = np.arange(len(at))
         return NearSurface(nearest_pixels(covered), entry, visible.at_centers(at), visible.camera)

@@ -15,7 +15,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
-from splatpainter.kernels.arrays import aligned, readonly
+from splatpainter.kernels.arrays import aligned, filled, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, threads
 from splatpainter.kernels.rows import by_blocks
@@ -257,9 +257,11 @@ class ProjectedView:
 
     def empty_picture(self) -> np.ndarray:
         """[H, W, 3] its background."""
-        image = np.zeros((self.camera.height, self.camera.width, 3), self.projected.dtype)
-        if any(self.camera.background):
-            self._fill(image)
+        shape = (self.camera.height, self.camera.width, 3)
+        if not any(self.camera.background):
+            return np.zeros(shape, self.projected.dtype)
+        image = aligned(shape, self.projected.dtype)
+        self._fill(image)
         return image
 
     def redraw(self, tiles: Bools, image: np.ndarray, alpha: np.ndarray, depth: np.ndarray) -> None:
@@ -375,11 +377,11 @@ class ProjectedView:
     def heaviest_gaussians(self, profile: Profile = "inria") -> Ids:
         """[H, W] int64: the Gaussian with the largest weight w = alpha T in each pixel, of equal ones the front one; -1
         where nothing is drawn, as in tiles that are not."""
-        entries = np.full((self.camera.height, self.camera.width), -1, np.int32)
+        entries = filled((self.camera.height, self.camera.width), -1, INT32)
         lists = (self.projected, self.flatten_ids, self.tile_ids, self.isect_offsets)
         run(kernels.heaviest_tiles, *lists, entries, _profile_number(profile))
         # Only around the drawn tiles: a sheet's hosts are looked for in a few of them.
-        out = np.full(entries.shape, -1, np.int64)
+        out = filled(entries.shape, -1, INT64)
         rows, columns = (np.flatnonzero(self.tiles.any(axis)) for axis in (1, 0))
         if len(rows):
             box = tuple(slice(TILE * at[0], TILE * (at[-1] + 1)) for at in (rows, columns))

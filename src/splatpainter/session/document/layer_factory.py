@@ -119,9 +119,12 @@ def encode_mask(mask: np.ndarray, cover: np.ndarray | None = None) -> bytes:
 def decode_picture(data: bytes, camera: Camera, where: str, space: ColorSpace = "srgb") -> np.ndarray:
     """[H, W, 3] float32 0..1 in the asset's colour space. Raises ValueError naming `where`: no PNG, damaged, not of the
     camera's size."""
+    pixels = _pixels(data, camera, where, "RGB")
+    if space == "srgb":
+        return np.divide(pixels, np.float32(255), dtype=np.float32)
     # A table of 256 levels: the same conversion for every pixel, and much quicker than one for each.
     levels = from_display(np.arange(256, dtype=np.float32) / 255, space)
-    return levels.take(_pixels(data, camera, where, "RGB"), mode="clip")  # twice as quick as an index
+    return levels.take(pixels, mode="clip")  # twice as quick as an index
 
 
 def encode_mask_part(shows: np.ndarray, share: np.ndarray) -> bytes:
