@@ -12,7 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from splatpainter.kernels.parallel import THREADS_VARIABLE, _Helper, ahead, alone, at_most, beside, each, run, threads
+from splatpainter.kernels.parallel import (
+    MIN_SHARED_NUMBERS,
+    THREADS_VARIABLE,
+    _Helper,
+    ahead,
+    alone,
+    at_most,
+    beside,
+    each,
+    run,
+    run_sized,
+    threads,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -48,6 +60,19 @@ def test_what_a_share_raises_is_raised_once_all_have_ended(who: int):
         with pytest.raises(MemoryError, match="no room"):
             run(work)
         assert sorted(ended) == [k for k in range(4) if k != who]
+
+
+def test_what_is_small_is_done_by_the_caller_alone(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(THREADS_VARIABLE, "3")
+    shares: list[tuple[str, int, int]] = []
+
+    def kernel(word: str, thread: int, count: int) -> None:
+        shares.append((word, thread, count))
+
+    run_sized(MIN_SHARED_NUMBERS - 1, kernel, "small")
+    assert shares == [("small", 0, 1)]
+    run_sized(MIN_SHARED_NUMBERS, kernel, "large")
+    assert sorted(shares[1:]) == [("large", k, 3) for k in range(3)]
 
 
 def test_callers_beside_one_another_and_within_one_another_do_not_wait_for_ever():

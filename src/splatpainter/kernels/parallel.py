@@ -17,6 +17,9 @@ from typing import Any, ClassVar, TypeVar
 from splatpainter.kernels.library import Kernel
 
 THREADS_VARIABLE = "SPLATPAINTER_THREADS"
+MIN_SHARED_NUMBERS = 1 << 16
+"""Numbers from which on a kernel that hardly does more than read them is worth a second thread: it takes some 20
+microseconds of work, and longer to wake, as long as 40,000 numbers take to be read."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _local = threading.local()
@@ -67,6 +70,15 @@ def run(kernel: Callable[..., Any], *args: Any) -> None:
         errors = [helper.end() for helper in rest]
         for error in filter(None, errors):
             raise error
+
+
+def run_sized(size: int, kernel: Callable[..., Any], *args: Any) -> None:
+    """`run`, or by the caller's thread alone where there is too little to share out. size: numbers that the kernel
+    reads or writes."""
+    if size < MIN_SHARED_NUMBERS:
+        kernel(*args, 0, 1)
+    else:
+        run(kernel, *args)
 
 
 def each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from splatpainter.color import sh_from_color
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run
+from splatpainter.kernels.parallel import run_sized
 from splatpainter.kernels.rows import take
 from splatpainter.splats import SH_C0, SH_COUNTS, Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -173,7 +173,7 @@ def _bytes(values: np.ndarray, drawable: np.ndarray) -> bytes:
 def pack_base(sh: np.ndarray) -> np.ndarray:
     """[N, K, 3] float32 SH -> [N, 3] float16 base colours 0.5 + Y_0 sh_0 within +-65504; NaN becomes 0."""
     out = np.empty((len(sh), 3), np.uint16)
-    run(kernels.pack_base_colors, np.require(sh, np.float32, ["C", "A"]), SH_C0, out)
+    run_sized(sh.size, kernels.pack_base_colors, np.require(sh, np.float32, ["C", "A"]), SH_C0, out)
     return out.view(np.float16)
 
 
@@ -183,7 +183,7 @@ def pack_harmonics(sh: np.ndarray) -> np.ndarray:
     lowest)."""
     out = np.empty((len(sh), sh.shape[1] - 1), np.uint32)
     if out.size:
-        run(kernels.pack_harmonic_codes, np.require(sh, np.float32, ["C", "A"]), out)
+        run_sized(sh.size, kernels.pack_harmonic_codes, np.require(sh, np.float32, ["C", "A"]), out)
     return out
 
 

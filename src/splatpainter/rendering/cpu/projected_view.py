@@ -17,7 +17,7 @@ from splatpainter.array_types import Bools, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.arrays import aligned, filled, readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run, threads
+from splatpainter.kernels.parallel import run, run_sized, threads
 from splatpainter.kernels.rows import by_blocks
 from splatpainter.rendering.cpu import geometry
 from splatpainter.rendering.cpu.geometry import (
@@ -156,7 +156,7 @@ class ProjectedView:
         entries = np.flatnonzero(entries) if entries.dtype == bool else entries
         grid = np.array([0, self.tiles.shape[1], 0, self.tiles.shape[0]])
         hit = np.zeros((threads(), self.tiles.size), bool)
-        run(kernels.mark_tiles, self.projected, readonly(entries, np.int64), grid, hit)
+        run_sized(COLUMNS * len(entries), kernels.mark_tiles, self.projected, readonly(entries, np.int64), grid, hit)
         return np.any(hit, axis=0).reshape(self.tiles.shape)
 
     def part(self, *, tiles: np.ndarray | None = None, gaussian_mask: np.ndarray | None = None) -> ProjectedView:
@@ -343,7 +343,7 @@ class ProjectedView:
         sums, out = aligned((len(self.flatten_ids), SUMS), dtype), np.empty((len(self), 6), dtype)
         masks = [readonly(one, dtype) for one in (mask, mask2)]
         run(kernels.mask_sums_tiles, *self.tile_lists(self.projected), *masks, sums)
-        run(kernels.reduce_mask_sums, self.pair_offsets, sums, out)
+        run_sized(sums.size, kernels.reduce_mask_sums, self.pair_offsets, sums, out)
         return MaskSums(out[:, 3], out[:, 4], out[:, 5]), MaskSums(out[:, 0], out[:, 1], out[:, 2])
 
     def sirt_step(
@@ -444,7 +444,7 @@ class ProjectedView:
 
     def _reduce(self, sums: np.ndarray) -> np.ndarray:
         out = np.empty((len(self), 6), sums.dtype)
-        run(kernels.reduce_pairs, self.pair_offsets, sums, out)
+        run_sized(sums.size, kernels.reduce_pairs, self.pair_offsets, sums, out)
         return out
 
 
@@ -533,7 +533,7 @@ def project(
     np.cumsum(histogram.sum(0), out=isect_offsets[1:])
     first = np.cumsum(histogram, 0) - histogram + isect_offsets[:-1]
     flatten_ids, pair_ids = aligned((2, int(totals[-1])), INT32)
-    run(kernels.place_pairs, pairs, begins, totals, first, pair_offsets, flatten_ids, pair_ids)
+    run_sized(2 * len(pairs), kernels.place_pairs, pairs, begins, totals, first, pair_offsets, flatten_ids, pair_ids)
     return ProjectedView(
         camera=camera,
         num_gaussians=n,

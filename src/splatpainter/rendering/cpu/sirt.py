@@ -14,8 +14,8 @@ import numpy as np
 from splatpainter.array_types import Bools
 from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import run
-from splatpainter.rendering.cpu.geometry import SUMS
+from splatpainter.kernels.parallel import run, run_sized
+from splatpainter.rendering.cpu.geometry import COLUMNS, SUMS
 from splatpainter.rendering.cpu.projected_view import ProjectedView
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -68,7 +68,7 @@ class CachedWeights:
         pairs, begins, entries, pair_ids, pair_offsets = pairs_of(view, movable)
         boxes = np.empty((len(pairs), 4), np.int64)
         tables = (view.projected, view.flatten_ids, view.tile_ids, view.tiles.shape[1], pairs, begins)
-        run(kernels.find_block_boxes, *tables, boxes)
+        run_sized(COLUMNS * len(pairs), kernels.find_block_boxes, *tables, boxes)
         hit = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
         block_offsets = np.concatenate([[0], np.cumsum(hit)])
         if block_offsets[-1] > MAX_CACHED_BLOCKS:
@@ -115,6 +115,8 @@ def _step_sums(
     """[C, 6]: residuals by weight (3), weights, two unused."""
     dtype = remainder.dtype
     sums, out = aligned((num_pairs, SUMS), dtype), np.empty((len(colors), 6), dtype)
-    run(kernels.cached_step_tiles, *lists, remainder, readonly(colors, dtype), sums)
-    run(kernels.reduce_pairs, pair_offsets, sums, out)
+    run_sized(
+        lists[-1].size + remainder.size, kernels.cached_step_tiles, *lists, remainder, readonly(colors, dtype), sums
+    )
+    run_sized(sums.size, kernels.reduce_pairs, pair_offsets, sums, out)
     return out
