@@ -14,6 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
+from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -207,22 +208,14 @@ def _assemble(
     for name in ATTRIBUTES:
         differs = getattr(slots, name) != getattr(splats, name)[targets]
         changed |= differs.reshape(len(targets), -1).any(1)
-    written = {}
-    for name in ATTRIBUTES:
-        values = getattr(slots, name)[changed]
-        if np.array_equal(values, getattr(splats, name)[targets[changed]]):
-            continue
-        # Only attributes that differ are copied; the others stay shared with the asset before.
-        full = getattr(splats, name).copy()
-        full[targets[changed]] = values
-        written[name] = full
-    result = replace(splats, **written)
     # New ones go last, in the order of the patch, then the detail layer.
-    appended = np.flatnonzero(~lattice.slot)
-    parents = ids[lattice.parent[appended]]
-    if len(appended):
-        result = result.append(new.take(appended))
+    added = np.flatnonzero(~lattice.slot)
+    parents, appended = ids[lattice.parent[added]], new.take(added)
     if detail is not None:
-        result = result.append(detail[0])
+        appended = appended.append(detail[0])
         parents = np.concatenate([parents, ids[lattice.parent[detail[1]]]])
-    return LocalLift(result, np.sort(targets[changed]), parents)
+    if splats.origin is not None and appended.source is not splats.source:
+        appended = replace(appended, origin=np.full(len(appended), -1, np.int64))
+    order = np.flatnonzero(changed)[np.argsort(targets[changed])]
+    edit = SparseEdit(targets[order], slots.take(order), np.zeros(0, np.int64), appended, parents)
+    return LocalLift(edit.apply(splats), edit.ids, parents)
