@@ -495,3 +495,20 @@ def test_pairs_of_chosen_entries_are_those_of_plain_lists(share: float) -> None:
     np.testing.assert_array_equal(np.argsort(numbers, kind="stable")[pair_ids], np.arange(len(pairs)))
     counts = np.bincount(numbers, minlength=int(chosen.sum()))
     np.testing.assert_array_equal(pair_offsets, np.append(0, np.cumsum(counts)))
+
+
+def test_the_first_residual_comes_with_the_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, camera = scene(200, seed=9, dtype=np.float32), cameras(150, 110)[0]
+    view, rng = project(splats, camera), np.random.default_rng(14)
+    target, mask = rng.random((110, 150, 3)).astype(np.float32), np.ones((110, 150), np.float32)
+    chosen = rng.random(len(view)) < 0.4
+    first, second = rng.random((2, int(chosen.sum()), 3)).astype(np.float32)
+    steps, begun = sirt_steps(view, target, mask, chosen), sirt_steps(view, target, mask, chosen, first)
+    np.testing.assert_array_equal(begun.weight, steps.weight)
+    for colors in (first, second, first.copy()):
+        np.testing.assert_array_equal(begun.residual(colors), steps.residual(colors))
+    assert np.abs(begun.residual(first)).max() > 0.1
+    monkeypatch.setattr(sirt, "_step_sums", None)
+    begun.residual(first)
+    with pytest.raises(TypeError):
+        begun.residual(second)

@@ -62,7 +62,7 @@ def lift_colors(
     at = np.flatnonzero(editable)
     first = out.take(at, 0)
     colors, ceiling = first, np.maximum(first, MAX_COLOR)
-    towards = sirt_steps(view, target, weights, editable)
+    towards = sirt_steps(view, target, weights, editable, first)
     total = towards.weight
     pull = np.zeros_like(total) if hold is None else hold[editable].astype(total.dtype)
     # Where the mask shows nothing of a Gaussian its step is 0, so that it keeps its colour exactly.

@@ -28,11 +28,12 @@ BLOCKS, LANES = 16, 16
 
 
 def sirt_steps(
-    view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: Bools
+    view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: Bools, first: np.ndarray | None = None
 ) -> CachedWeights | UncachedWeights:
     """Steps towards a picture with C movable Gaussians of a view's M; the others have the view's colours. movable: [M]
-    bool; target: [H, W, 3]; mask: [H, W] weights m_p >= 0."""
-    return CachedWeights.of(view, target, mask, movable) or UncachedWeights(view, target, mask, movable)
+    bool; target: [H, W, 3]; mask: [H, W] weights m_p >= 0; first: [C, 3] the very array that `residual` is asked for
+    first, if known: the walk that sums the weights gives what is missing there too."""
+    return CachedWeights.of(view, target, mask, movable, first) or UncachedWeights(view, target, mask, movable)
 
 
 class UncachedWeights:
@@ -59,10 +60,14 @@ class CachedWeights:
     _remainder: np.ndarray
     _num_pairs: int
     _pair_offsets: np.ndarray
+    _first: tuple[np.ndarray, np.ndarray]
+    """Colours, and their `residual`."""
 
     @staticmethod
-    def of(view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: np.ndarray) -> CachedWeights | None:
-        """None where there would be more than MAX_CACHED_BLOCKS."""
+    def of(
+        view: ProjectedView, target: np.ndarray, mask: np.ndarray, movable: np.ndarray, first: np.ndarray | None = None
+    ) -> CachedWeights | None:
+        """first: as of `sirt_steps`. None where there would be more than MAX_CACHED_BLOCKS."""
         dtype = view.projected.dtype
         target, mask = readonly(target, dtype), readonly(mask, dtype)
         pairs, begins, entries, pair_ids, pair_offsets = pairs_of(view, movable)
@@ -88,11 +93,14 @@ class CachedWeights:
             remainder,
         )
         lists = (begins, boxes, block_offsets, entries, pair_ids, weights)
-        sums = _step_sums(lists, remainder, len(pairs), pair_offsets, np.zeros((len(pair_offsets) - 1, 3), dtype))
-        return CachedWeights(sums[:, 3], lists, remainder, len(pairs), pair_offsets)
+        colors = np.zeros((len(pair_offsets) - 1, 3), dtype) if first is None else first
+        sums = _step_sums(lists, remainder, len(pairs), pair_offsets, colors)
+        return CachedWeights(sums[:, 3], lists, remainder, len(pairs), pair_offsets, (colors, sums[:, :3]))
 
     def residual(self, colors: np.ndarray) -> np.ndarray:
         """[C, 3] sum_p w_ip m_p (target_p - image_p) with these colours ([C, 3], in the view's order)."""
+        if colors is self._first[0]:
+            return self._first[1]
         return _step_sums(self._lists, self._remainder, self._num_pairs, self._pair_offsets, colors)[:, :3]
 
 

@@ -208,9 +208,10 @@ class Stroke:
         reached = reached[sums.weight.take(reached) > MIN_INSIDE_SMALL * weights]
         canvas.movable[entries.take(reached)] = True
         movable = canvas.movable.take(entries)
-        sirt = sirt_steps(small, target, everywhere, movable)
-        step, moved = 1 / np.maximum(sirt.weight, 1e-6)[:, None], entries[movable]
+        moved = entries[movable]
         colors, ceiling = canvas.colors.take(moved, 0), np.maximum(view.unclamped_of(moved), MAX_COLOR)
+        sirt = sirt_steps(small, target, everywhere, movable, colors)
+        step = 1 / np.maximum(sirt.weight, 1e-6)[:, None]
         # A few steps are enough for a preview; the next dab goes on from there.
         for _ in range(SIRT_STEPS):
             colors = np.clip(colors + step * sirt.residual(colors), 0, ceiling).astype(np.float32)
