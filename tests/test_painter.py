@@ -66,7 +66,7 @@ def test_one_call_is_what_a_painter_does_and_goes_on_from_its_asset() -> None:
     dabbed = dab(splats, RED)
     by_painter = apply(splats, [dabbed])
     once = sp.edit(splats, [(dabbed.image, CAMERA)])
-    assert same_bits(once.splats, by_painter.splats) and receipt_of(once).method == "lift"
+    assert same_bits(once.splats, by_painter.splats) and receipt_of(once).method == "corrected"
     twice = sp.edit(once, [dab(once.splats, BLUE, x=30)], method="lift")
     expected = Painter.load("lift").apply(by_painter, [dab(by_painter.splats, BLUE, x=30)])
     assert same_bits(twice.splats, expected.splats)
@@ -346,7 +346,7 @@ ERRORS: dict[str, tuple[Callable[[Splats], object], str]] = {
         "inside the object",
     ),
     "no weights": (edit_once(method="ttt"), "weights"),
-    "unknown method": (edit_once(method="magic"), "auto, ttt, lift or fit.*'magic'"),
+    "unknown method": (edit_once(method="magic"), "auto, ttt, corrected, lift or fit.*'magic'"),
     "unknown mode": (edit_once(mode="everywhere"), "local, global, spread.*'everywhere'"),
     "fit is local": (edit_once(mode="global", method="fit"), "'fit' is for local"),
     "unknown preset": (lambda s: Painter.load("paper"), "'paper': no trained weights.*'lift'"),

@@ -349,7 +349,7 @@ def test_auto_is_the_lift_in_the_mode_where_the_weights_do_not_beat_it() -> None
     model.notes = {"gain": {"local": -0.02, "global": 0.4}}
     painter = Painter(model=model)
     local = receipt_of(painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)]))
-    assert local.method == "lift" and "-0.02 dB" in local.note
+    assert local.method == "corrected" and "-0.02 dB" in local.note
     assert receipt_of(painter.apply(Asset(SPLATS), [dab(SPLATS, RED)], method="ttt")).method == "ttt"
     everywhere = receipt_of(painter.apply(Asset(SPLATS), [dab(SPLATS, RED)], mode="global"))
     assert everywhere.method == "ttt" and "+0.40 dB" in everywhere.note
@@ -363,13 +363,13 @@ def test_weights_that_beat_the_lift_nowhere_are_not_even_read(weights: Path) -> 
     painter = Painter.load()
     assert isinstance(painter.model, _Deferred) and "measured no better" in str(painter.why)
     done = receipt_of(painter.apply(painter.encode(SPLATS), [dab(SPLATS, RED)]))
-    assert (done.method, done.preset, done.precision) == ("lift", "lift", "") and str(painter.why) in done.note
+    assert (done.method, done.preset, done.precision) == ("corrected", "lift", "") and str(painter.why) in done.note
     assert "_model" not in vars(painter.model)
     # ... unless they are asked for.
     chosen = receipt_of(painter.apply(painter.encode(SPLATS, "ttt"), [dab(SPLATS, RED)], method="ttt"))
     assert (chosen.method, chosen.preset) == ("ttt", "compact") and "_model" in vars(painter.model)
     compact = Painter.load("compact")
-    assert compact.model is not None and compact.choose("auto", "local")[0] == "lift"
+    assert compact.model is not None and compact.choose("auto", "local")[0] == "corrected"
     assert compact.choose("ttt", "local")[0] == "ttt"
 
 

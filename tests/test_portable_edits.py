@@ -113,7 +113,7 @@ def test_files_fills_and_matches_have_the_same_bytes_with_another_numpy_and_blas
         return done.stdout
 
     here = hashes({})
-    assert len(here.splitlines()) == 11
+    assert len(here.splitlines()) == 12
     assert hashes(older) == here
     assert hashes(single) == here
 

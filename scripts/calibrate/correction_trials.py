@@ -10,14 +10,14 @@ Kinds, each clean ("coarse") or fitted by 3DGS where it is of meshes:
 - case: folders of the acceptance protocol (asset.ply, paint/edit_0.png, paint/gt_*.png)
 
 What counts is the paint and the pixels around it: within the paint alone, paint that runs over its edge looks better.
-J Gaussians that may change, K neighbours.
+J Gaussians that may change.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ import numpy as np
 import scipy.sparse as sparse
 from PIL import Image
 from scipy import ndimage
-from scipy.spatial import KDTree
 from splatbench import scenes
 from splatbench.closeups import closeup
 from splatbench.local_edits import BACKGROUND
@@ -33,13 +32,13 @@ from splatbench.reprojection import reproject, surface_depth
 
 from splatpainter import io
 from splatpainter.cameras import Camera
-from splatpainter.color import base_color
 from splatpainter.image_files import to_uint8
+from splatpainter.lift.colors import colors_towards
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit
-from splatpainter.lift.local.evidence import footprints
-from splatpainter.lift.local.split import projected_sizes
+from splatpainter.lift.local.correction import MIN_OPACITY, PaintedGaussians, PaintedPictures
 from splatpainter.lift.masks import change_mask
+from splatpainter.lift.sheets.resurface import RESURFACING
 from splatpainter.painter import Edit
 from splatpainter.painting.asset import Asset
 from splatpainter.painting.edit_methods import lift_locally
@@ -47,23 +46,15 @@ from splatpainter.painting.edit_settings import EditSettings
 from splatpainter.painting.prepared_views import prepared_views
 from splatpainter.pictures.drawing import over, solid_layer
 from splatpainter.rendering import render
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.sirt import CachedWeights
 from splatpainter.splats import Splats
-from splatpainter.transforms import quat_to_matrix
 from splattrain import recipes
 from splattrain.data.object_sources import HELD_OUT_SHARE
 from splattrain.data.painted_gaussians import PaintedEdit, lifted_edit
 from splattrain.data.viewpoints import turned
 from splattrain.training_data import DataSettings, ResourceFolders, painted_gaussian_streams
 
-NEIGHBOURS = 8
-"""K."""
-OWN_FACTS, NEIGHBOUR_FACTS, OTHER_COLORS = 22, 13, 5
-"""Numbers of a Gaussian, of each neighbour; colours at hand beside the neighbours'."""
-SHOWN_FACT = 9
-"""Which of a Gaussian's facts says how many pixels the mask shows of it: log2(pixels + SHOWN_MARGIN) / 5."""
-SHOWN_MARGIN = 0.01
 TRAINING_VIEWS, TRAINING_DEGREES = 10, (10.0, 65.0)
 """Novel views of an edit that are learnt from, and their angles to the edited one."""
 JUDGED_DEGREES = (20.0, 40.0, 60.0)
@@ -81,38 +72,33 @@ CAPTURES = ("massa.ply", "biker.compressed.ply", "playbot_lod3.ply", "narcissus.
 HELD_CAPTURES = frozenset({"narcissus", "angel", "st-peter"})
 WORDS = ("PAINT", "No 7", "WOW", "splat", "HELLO")
 Form = tuple[Any, np.ndarray, float]
-"""(H [J, J] sparse, g [J, 3], L): the mean squared error L - 2 g d + d H d of some views after the change d."""
+"""(H [J, J] sparse, g [J, 3], L): the squared error L - 2 g d + d H d of some views after the change d."""
 Judged = tuple[Sequence[Camera], np.ndarray, np.ndarray]
 """(V cameras, [V, H, W, 3] what they should show, [V, H, W] bool where it counts)."""
 
 
 @dataclass(frozen=True)
-class GaussianFacts:
-    """What a network reads of an edit."""
+class JudgedEdit:
+    """An edit to be judged by."""
 
-    ids: np.ndarray = field(repr=False)
-    """[J]"""
-    own: np.ndarray = field(repr=False)
-    """[J, OWN_FACTS]"""
-    around: np.ndarray = field(repr=False)
-    """[J, K, NEIGHBOUR_FACTS]"""
-    colors: np.ndarray = field(repr=False)
-    """[J, K + OTHER_COLORS, 3] what the colours at hand differ by from the lift's."""
+    splats: Splats
+    """As the lift left them."""
+    view: EditView
+    tests: tuple[Judged, ...]
+    """One for each of JUDGED_DEGREES, or one for all views there are."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """An edit to learn from, or to be judged by (`judged` is empty in the first case)."""
+    """An edit to learn from or to be judged by."""
 
     kind: str
     name: str
-    facts: GaussianFacts
+    painted: PaintedGaussians
+    counts: np.ndarray
+    """[H, W] float32 what each pixel counts in the steps towards the picture."""
     novel: Form
-    edited: Form
-    lifted: LiftedEdit
-    view: EditView
-    judged: tuple[Judged, ...] = ()
-    """One for each of JUDGED_DEGREES, or one for all views there are."""
+    judged: JudgedEdit | None = None
 
 
 def mesh_streams(data: Path) -> tuple[Any, Any]:
@@ -218,104 +204,67 @@ def _trial(
 ) -> Trial | None:
     if pixels < LEAST_PIXELS:
         return None
-    facts = facts_of(asset, lifted, view)
-    whole = [(view.camera, view.target, np.ones(view.mask.shape))]
-    forms = quadratic(lifted.splats, facts.ids, views), quadratic(lifted.splats, facts.ids, whole)
-    counts = pixels, float(view.mask.sum())
-    novel, edited = ((h / (3 * n), g / (3 * n), e / (3 * n)) for (h, g, e), n in zip(forms, counts, strict=True))
-    return Trial(kind, name, facts, novel, edited, lifted, view, tuple(tests))
+    painted = painted_gaussians(asset, lifted, view)
+    if not len(painted.entries):
+        return None
+    h, g, e = quadratic(lifted.splats, painted.view.gaussian_ids[painted.entries], views)
+    novel = h / (3 * pixels), g / (3 * pixels), e / (3 * pixels)
+    judged = JudgedEdit(lifted.splats, view, tuple(tests)) if tests else None
+    # As sheets count them, and where Gaussians were split.
+    counts = np.where(view.mask, 1, RESURFACING.unedited_weight) if len(lifted.replaced) else painted.pictures.weights
+    return Trial(kind, name, painted, counts.astype(np.float32), novel, judged)
 
 
-def facts_of(asset: Splats, lifted: LiftedEdit, view: EditView) -> GaussianFacts:
-    """asset: before the edit; view: with depth and alpha."""
-    assert view.depth is not None and view.alpha is not None
-    splats, camera, first = lifted.splats, view.camera, len(asset)
-    count, (height, width) = len(splats), view.mask.shape
-    color, parents = _towards(splats, camera), np.arange(count)
-    parents[lifted.ids] = lifted.parents
-    before = _towards(asset, camera)[np.minimum(parents, first - 1)]
-    fresh, edited = np.arange(count) >= first, np.zeros(count, bool)
-    fresh[lifted.replaced] = True
-    edited[lifted.ids] = True
-    weight, peak, share, visible = _shown(splats, view)
-    ids = lifted.ids[splats.opacities[lifted.ids] > 0.02]
-
-    # Where each lies in the view, and how it faces it.
-    means = splats.means.astype(np.float64)
-    normals = quat_to_matrix(np.ascontiguousarray(splats.quats))[np.arange(count), :, splats.scales.argmin(1)]
-    towards = camera.position - means
-    towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-    facing = (normals * towards).sum(1)
-    normals, facing = np.where(facing[:, None] < 0, -normals, normals), np.abs(facing)
-    pixels, depths = camera.project(means)
-    ahead = depths > 1e-6
-    pixels = np.where(ahead[:, None] & np.isfinite(pixels), pixels, 0)
-    x, y = (np.clip(pixels[:, k], 0, edge - 1).astype(np.int64) for k, edge in ((0, width), (1, height)))
-    beside = ((pixels < 0) | (pixels >= (width, height))).any(1) | ~ahead
-    pixel = np.maximum(depths, 1e-6) / camera.fy
-    solid = view.alpha > 0.5
-    behind = np.where(solid[y, x], np.clip((depths - view.depth[y, x]) / pixel, -8, 8), 0) / 8
-    sizes = np.sort(np.clip(projected_sizes(splats.take(ids), camera), 1e-2, 1e3), 1)[:, ::-1]
-
-    # The picture around that place.
-    target, mask = view.target, view.mask.astype(np.float32)
-    over_it = target[y, x]
-    near, wide, painted = (
-        _mean_around(target, where, y, x, r) for where, r in ((solid, 1), (solid, 2), (solid & view.mask, 3))
-    )
-    paint = np.where((painted[1] > 1e-4)[:, None], painted[0], wide[0])
-    depth = np.where(solid, view.depth, view.depth.max())
-    step = (ndimage.maximum_filter(depth, 5) - ndimage.minimum_filter(depth, 5))[y, x] / pixel
-    contrast = (ndimage.maximum_filter(target, (5, 5, 1)) - ndimage.minimum_filter(target, (5, 5, 1))).max(-1)[y, x]
-    columns = (
-        *(facing, behind, 2 * splats.opacities - 1, np.log2(peak + 1e-3) / 5, share, visible),
-        *(np.log2(weight + SHOWN_MARGIN) / 5, mask[y, x], ndimage.uniform_filter(mask, 3)[y, x]),
-        *(ndimage.uniform_filter(mask, 7)[y, x], view.alpha[y, x], ndimage.minimum_filter(view.alpha, 5)[y, x]),
-        *(np.log2(step + 1) / 4, contrast, fresh, np.arange(count) >= first, beside),
-        *(np.abs(color - before).max(1), np.abs(color - over_it).max(1)),
-    )
-    own = np.concatenate([np.log2(sizes) / 4, np.stack(columns, 1)[ids]], 1)
-
-    # Its neighbours, edited or not: where paint ends they say so.
-    there = np.flatnonzero(splats.opacities > 0.05)
-    distances, index = KDTree(means[there]).query(means[ids], k=NEIGHBOURS + 1)
-    nearest = there[index]
-    order = np.argsort(nearest == ids[:, None], 1, kind="stable")[:, :NEIGHBOURS]  # itself last
-    nearest, distances = (np.take_along_axis(values, order, 1) for values in (nearest, distances))
-    edges = np.sort(splats.scales.astype(np.float64), 1)[:, 1:].mean(1)
-    size = np.maximum(edges[ids], 1e-9)[:, None]
-    off = ((means[nearest] - means[ids][:, None]) * normals[ids][:, None]).sum(-1) / size
-    pairs = (
-        *(np.log2(distances / size + 1e-2) / 3, np.clip(off, -6, 6) / 3, share[nearest]),
-        *(np.log2(weight[nearest] + SHOWN_MARGIN) / 5, facing[nearest], splats.opacities[nearest]),
-        *(np.log2(edges[nearest] / size) / 3, fresh[nearest], edited[nearest]),
-        *((normals[ids][:, None] * normals[nearest]).sum(-1), np.abs(color[nearest] - before[nearest]).max(-1)),
-        *(np.abs(color[nearest] - color[ids][:, None]).max(-1), np.log2(peak[nearest] + 1e-3) / 5),
-    )
-    others = np.stack([over_it, near[0], wide[0], paint, before], 1)[ids]
-    colors = np.concatenate([color[nearest], others], 1) - color[ids][:, None]
-    return GaussianFacts(ids, *(values.astype(np.float32) for values in (own, np.stack(pairs, -1), colors)))
+def painted_gaussians(asset: Splats, lifted: LiftedEdit, view: EditView) -> PaintedGaussians:
+    """asset: before the edit."""
+    splats, camera, count = lifted.splats, view.camera, len(lifted.splats)
+    whole, editable, parents = project(splats, camera), np.zeros(count, bool), np.arange(count)
+    editable[lifted.ids], parents[lifted.ids] = splats.opacities[lifted.ids] > MIN_OPACITY, lifted.parents
+    seen = whole.part(tiles=whole.tiles_of(editable))
+    entries = np.flatnonzero(editable[seen.gaussian_ids])
+    ids = seen.gaussian_ids[entries]
+    assert view.alpha is not None and view.depth is not None
+    pictures = PaintedPictures(np.ascontiguousarray(view.target, np.float32), view.mask, view.alpha, view.depth)
+    _, sums = seen.mask_sums(view.mask, np.ones(view.mask.shape, bool))
+    before = colors_towards(project(asset, camera), asset, parents[ids])
+    fresh = (ids >= len(asset)) | np.isin(ids, lifted.replaced)
+    return PaintedGaussians(splats.geometry(ids), seen, entries, sums, seen.colors[entries], before, fresh, pictures)
 
 
 def quadratic(splats: Splats, ids: np.ndarray, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> Form:
     """The sum over views of m |target - picture|^2 as a form of a change of the colours of the Gaussians `ids`. views:
     (camera, target [H, W, 3], m [H, W])."""
-    movable, column = np.zeros(len(splats), bool), np.full(len(splats), -1)
-    movable[ids], column[ids] = True, np.arange(len(ids))
+    column = np.full(len(splats), -1)
+    column[ids] = np.arange(len(ids))
     form: Any = sparse.csr_matrix((len(ids), len(ids)))
     gradient, total = np.zeros((len(ids), 3)), 0.0
     for camera, target, counts in views:
-        left = target - np.asarray(render(splats, camera).colors[0])
-        total += float((counts[..., None] * left**2).sum())
-        seen = project(splats, camera)
-        chosen = movable[seen.gaussian_ids]
-        cached = CachedWeights.of(seen, target, np.ones(counts.shape, np.float32), chosen)
-        if not chosen.any() or cached is None:
-            continue
-        weights = _weights(cached, seen, counts.shape, column[seen.gaussian_ids[chosen]], len(ids))
-        form += weights.T @ sparse.diags(counts.ravel()) @ weights
-        gradient += weights.T @ (counts[..., None] * left).reshape(-1, 3)
+        more = _form(project(splats, camera), column, len(ids), target, counts)
+        form, gradient, total = form + more[0], gradient + more[1], total + more[2]
     return form.tocsr().astype(np.float32), gradient.astype(np.float32), total
+
+
+def edited_form(painted: PaintedGaussians, counts: np.ndarray) -> Form:
+    """The same of the edited view, as the steps towards its picture count its pixels. counts: as of Trial."""
+    view, pictures = painted.view, painted.pictures
+    column = np.full(view.num_gaussians, -1)
+    column[view.gaussian_ids[painted.entries]] = np.arange(len(painted.entries))
+    counts = np.where(view.rasterize()[1] > 0, counts, 0)
+    form, gradient, total = _form(view, column, len(painted.entries), pictures.target, counts)
+    return form.tocsr().astype(np.float32), gradient.astype(np.float32), total
+
+
+def _form(view: ProjectedView, column: np.ndarray, count: int, target: np.ndarray, counts: np.ndarray) -> Form:
+    """Of one view. column: [N] number of each Gaussian among the `count` that may change, or -1; counts: [H, W] m."""
+    left = target - view.rasterize()[0]
+    total = float((counts[..., None] * left**2).sum())
+    chosen = column[view.gaussian_ids] >= 0
+    cached = CachedWeights.of(view, target, np.ones(counts.shape, np.float32), chosen)
+    if not chosen.any() or cached is None:
+        return sparse.csr_matrix((count, count)), np.zeros((count, 3)), total
+    weights = _weights(cached, view, counts.shape, column[view.gaussian_ids[chosen]], count)
+    form = weights.T @ sparse.diags(counts.ravel()) @ weights
+    return form, weights.T @ (counts[..., None] * left).reshape(-1, 3), total
 
 
 def _weights(cached: CachedWeights, view: Any, shape: tuple[int, ...], column: np.ndarray, count: int) -> Any:
@@ -418,31 +367,3 @@ def _truths(edit: PaintedEdit, cameras: Sequence[Camera]) -> tuple[np.ndarray, n
 
 def _drawn(splats: Any, cameras: Sequence[Camera]) -> np.ndarray:
     return np.clip(np.asarray(render(splats, list(cameras)).colors), 0, 1)
-
-
-def _towards(splats: Splats, camera: Camera) -> np.ndarray:
-    """[N, 3] colours towards a view; base colours of those that are not in it."""
-    seen, out = project(splats, camera), base_color(splats.sh).copy()
-    out[seen.gaussian_ids] = seen.unclamped_colors
-    return out
-
-
-def _shown(splats: Splats, view: EditView) -> tuple[np.ndarray, ...]:
-    """[N] each: pixels' worth that the mask shows, the largest of one pixel, the share of its footprint, of alpha."""
-    seen = project(splats, view.camera)
-    sums = seen.backproject(view.target, view.mask.astype(np.float32))
-    shares = np.minimum(sums.weight / np.maximum(footprints(seen), 1e-6), 1), sums.weight / np.maximum(sums.alpha, 1e-6)
-    found = []
-    for values in (sums.weight, sums.peak, *shares):
-        full = np.zeros(len(splats))
-        full[seen.gaussian_ids] = values
-        found.append(full)
-    return tuple(found)
-
-
-def _mean_around(picture: np.ndarray, where: np.ndarray, y: np.ndarray, x: np.ndarray, radius: int) -> Any:
-    """([N, 3] mean of the pixels `where` around places, [N] their share)."""
-    size, counted = 2 * radius + 1, where.astype(np.float32)
-    share = ndimage.uniform_filter(counted, size)
-    planes = [ndimage.uniform_filter(picture[..., c] * counted, size) for c in range(3)]
-    return (np.stack(planes, -1) / np.maximum(share, 1e-6)[..., None])[y, x], share[y, x]

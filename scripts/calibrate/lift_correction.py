@@ -1,23 +1,23 @@
-"""What a network knows that the lift does not: a correction of the lift's colours that novel views gain by.
+"""Train and judge the correction of the lift's colours (src/splatpainter/lift/local/correction.py).
 
-Run: python scripts/calibrate/lift_correction.py DATA OUT [--seconds 150] [--cases FOLDER]
+Run: python scripts/calibrate/lift_correction.py DATA OUT [--seconds 240] [--cases FOLDER]
 
-DATA: a folder with meshes/, splats/, hdris/, decals/, fonts/, textures/. OUT keeps trials (some 14 MiB each),
-weights and the table; what it holds is not made again. --cases: folders of the acceptance protocol, of training meshes
-and of held-out ones; without it, what paint drawn at 512 px by another renderer asks for is neither learnt nor judged.
+DATA: a folder with meshes/, splats/, hdris/, decals/, fonts/, textures/. OUT keeps trials (some 14 MiB each), weights
+(correction.json: to be copied beside correction.py) and the table; what it holds is not made again. --cases: folders of
+the acceptance protocol, of training meshes and of held-out ones; without it, what paint drawn at 512 px by another
+renderer asks for is neither learnt nor judged.
 
-Every Gaussian that a local edit may change gets a mixture of colours that are at hand: its neighbours', the picture's
-over it, its own before the edit. How much of each a small network says, of what the view shows of it and of them
-(`correction_trials.facts_of`); it starts at none, which is the lift. Then rounds of the lift hold the colours against
-the edited picture until it is as near as the lift had left it, so that only the freedom which the picture leaves is
-spent. The loss is of novel views after these rounds, and of novel and edited view before them: without the latter,
-colours beyond what can be drawn are learnt (true paint 20 degrees away -0.2 dB in place of +0.1).
+The loss is of novel views, after the steps that bring the edited view as near to its picture as the lift had left it:
+so only the freedom that the picture leaves is spent. Novel and edited view before these steps count, too: without them,
+colours beyond what can be drawn are learnt.
 
-Held-out objects and captures are judged, in the paint and a rim around it (docs/ADAPTATION.md has the figures).
+Held-out objects and captures are judged by edits as the package makes them, with these weights and without any, in the
+paint and a rim around it (docs/ADAPTATION.md has the figures).
 """
 
 from __future__ import annotations
 
+import json
 import pickle
 import time
 from collections import defaultdict
@@ -34,16 +34,13 @@ from correction_trials import (
     CAPTURES,
     HELD_CAPTURES,
     JUDGED_DEGREES,
-    NEIGHBOUR_FACTS,
-    OTHER_COLORS,
-    OWN_FACTS,
-    SHOWN_FACT,
-    SHOWN_MARGIN,
+    RIM_PX,
     Form,
-    GaussianFacts,
+    JudgedEdit,
     Trial,
     capture_trial,
     case_trial,
+    edited_form,
     mesh_streams,
     mesh_trial,
 )
@@ -51,31 +48,35 @@ from scipy import ndimage
 from torch import Tensor, nn
 from torch.nn import functional
 
-from splatpainter.lift.colors import lift_colors
-from splatpainter.lift.edits import LiftedEdit
-from splatpainter.lift.local.evidence import footprints
+from splatpainter.lift.local.correction import (
+    COLORS,
+    FACTS,
+    FADING,
+    LEAST_SHARED,
+    MAX_DEVIATIONS,
+    MAX_STEPS,
+    CorrectionWeights,
+    PaintedGaussians,
+    borne,
+    first_root,
+    halfway,
+)
 from splatpainter.rendering import render
-from splatpainter.rendering.cpu.projected_view import project
+from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.text_tables import markdown
 
 LEAST_ERROR = 2e-4
 """Added to squared errors: 37 dB are enough."""
-ROUNDS, HOLD = 2, 0.1
-"""Rounds towards the edited picture in training, and the pixels' worth of weight that the correction has in them; when
-judged also per pixel of a Gaussian that the view hides."""
-TRIED_ROUNDS = (2, 3, 4, 6, 8, 12)
-"""When judged: the first that leaves the edited view as near its picture as the lift did, or the last."""
+BEFORE = 0.3
+"""Weight of novel and edited view before the steps."""
 EDITED_ALONE = 0.15
-"""Of the edited view's logarithm of the error before the rounds, beside that of novel views."""
-HELD_LOG, EASY_WEIGHT = 0.05, 0.03
-"""After the rounds the edited view counts as much as novel ones where its logarithm of the error is above the lift's
-less HELD_LOG, and by EASY_WEIGHT below: what is nearer than the lift's buys nothing."""
+"""Of the edited view's logarithm of the error before them, beside that of novel views."""
+EASY_WEIGHT = 0.03
+"""Of the edited view's after them: it is as near its picture as with the lift."""
 KIND_WEIGHTS = {"capture": 3.0, "case": 2.0}
 """How often a kind is drawn, beside 1."""
 RATE, DECAY, AVERAGE, TRIALS_PER_STEP = 3e-3, 0.01, 0.01, 2
-RADIUS = 5.0
-"""Facts are bounded by this many standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -92,86 +93,128 @@ class Options:
     """Held-out edits of either sort."""
     captures: int = 6
     """Edits of each capture."""
-    seconds: float = 150.0
+    seconds: float = 240.0
     """CPU seconds of training."""
     width: int = 16
     """Of the network's layers."""
-    neighbours: int = 4
-    """Whose colours are mixed."""
-
-
-class Correction(nn.Module):
-    """Facts to a change of colours, zero at first."""
-
-    def __init__(self, width: int, neighbours: int) -> None:
-        super().__init__()
-        self.neighbours = neighbours
-        self.scaling: Tensor
-        self.register_buffer("scaling", torch.zeros(2, OWN_FACTS + NEIGHBOUR_FACTS))
-        self.own, self.company, self.alone = nn.Linear(OWN_FACTS, width), nn.Linear(OWN_FACTS, width), _square(width)
-        self.near, self.asked = nn.Linear(NEIGHBOUR_FACTS, width), nn.Linear(width, width, bias=False)
-        self.pair, self.whole = _square(width), nn.Linear(2 * width, width)
-        self.of_pair, self.of_whole = nn.Linear(width, 1, bias=False), nn.Linear(width, 1)
-        self.of_both, self.of_others = nn.Linear(width, width, bias=False), nn.Linear(width, OTHER_COLORS)
-        for layer in (self.of_pair, self.of_whole, self.of_both, self.of_others):
-            nn.init.zeros_(layer.weight)
-            if layer.bias is not None:
-                nn.init.zeros_(layer.bias)
-
-    def forward(self, facts: GaussianFacts) -> Tensor:
-        """[J, 3]."""
-        around, colors = facts.around[:, : self.neighbours], facts.colors
-        at_hand = torch.from_numpy(np.concatenate([colors[:, : self.neighbours], colors[:, -OTHER_COLORS:]], 1))
-        mean, deviation = self.scaling
-        own = ((torch.from_numpy(facts.own) - mean[:OWN_FACTS]) / deviation[:OWN_FACTS]).clamp(-RADIUS, RADIUS)
-        near = ((torch.from_numpy(around) - mean[OWN_FACTS:]) / deviation[OWN_FACTS:]).clamp(-RADIUS, RADIUS)
-        # What kind of asset and edit this is, all Gaussians hear.
-        alone = functional.silu(self.alone(functional.silu(self.own(own) + self.company(own.mean(0)))))
-        pairs = functional.silu(self.pair(functional.silu(self.near(near) + self.asked(alone)[:, None])))
-        whole = functional.silu(self.whole(torch.cat([alone, pairs.mean(1)], -1)))
-        shares = self.of_pair(pairs)[..., 0] + self.of_whole(whole) + (pairs * self.of_both(whole)[:, None]).sum(-1)
-        return (torch.cat([shares / 4, self.of_others(whole)], 1)[..., None] * at_hand).sum(1)
-
-
-def _square(width: int) -> nn.Linear:
-    return nn.Linear(width, width)
 
 
 @dataclass(frozen=True)
-class Rounds:
-    """ROUNDS of the lift towards the edited picture as a linear map of a correction, and its transpose."""
+class GaussianFacts:
+    """What is read of the J Gaussians of an edit."""
+
+    values: Tensor
+    """[J, FACTS]"""
+    colors: Tensor
+    """[J, COLORS, 3]"""
+
+    @staticmethod
+    def of(painted: PaintedGaussians) -> GaussianFacts:
+        """Of an edit."""
+        values, colors = painted.facts()
+        return GaussianFacts(torch.from_numpy(values), torch.from_numpy(colors))
+
+
+class Correction(nn.Module):
+    """Facts to shares of the colours at hand, none at first: `CorrectionWeights` as a module."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.scaling: Tensor
+        self.register_buffer("scaling", torch.zeros(2, FACTS))
+        self.first, self.company = nn.Linear(FACTS, width), nn.Linear(FACTS, width)
+        self.second, self.third, self.shares = (
+            nn.Linear(width, width),
+            nn.Linear(width, width),
+            nn.Linear(width, COLORS),
+        )
+        nn.init.zeros_(self.shares.weight)
+        nn.init.zeros_(self.shares.bias)
+
+    def forward(self, facts: GaussianFacts) -> Tensor:
+        """[J, 3] changes of colours."""
+        mean, deviation = self.scaling
+        own = ((facts.values - mean) / deviation).clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS)
+        x = functional.silu(self.first(own) + self.company(own.mean(0)))
+        x = functional.silu(self.third(functional.silu(self.second(x))))
+        return (self.shares(x)[..., None] * facts.colors).sum(1)
+
+    def stored(self) -> dict[str, list[Any]]:
+        """What correction.json holds."""
+        return {name: _rounded(tensor) for name, tensor in self.state_dict().items()}
+
+
+def _rounded(tensor: Tensor) -> list[Any]:
+    """To four digits: a file of some ten kilobytes."""
+    return json.loads(json.dumps(tensor.tolist()), parse_float=lambda text: float(f"{float(text):.4g}"))
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The product's steps towards the edited picture (`correction._held`) as linear maps, without its limits on
+    colours."""
 
     edited: Form
-    pull: float
-    step: np.ndarray
+    """Its squared error."""
+    shared: np.ndarray
+    """[J, 1] pixels' worth of each that is its own and of the others that may change."""
+    hold: np.ndarray
     """[J, 1]"""
 
     @staticmethod
-    def of(trial: Trial) -> Rounds:
-        form, _, _ = trial.edited
-        rows = np.asarray(form.sum(1)).ravel()
-        # The form is over 3 n pixels; what the mask shows of a Gaussian says n.
-        shown = 2.0 ** (5 * trial.facts.own[:, SHOWN_FACT]) - SHOWN_MARGIN
-        known = (shown > 0.5) & (rows > 0)
-        scale = float(np.median(rows[known] / shown[known])) if known.any() else 1.0
-        step = np.where(rows > 1e-3 * scale, 1 / np.maximum(rows + HOLD * scale, 1e-12), 0)
-        return Rounds(trial.edited, HOLD * scale, step.astype(np.float32)[:, None])
+    def of(trial: Trial) -> Steps:
+        edited, painted = edited_form(trial.painted, trial.counts), trial.painted
+        shared = np.asarray(edited[0].sum(1), np.float32)
+        return Steps(edited, shared, painted.hold()[:, None])
 
-    def after(self, first: np.ndarray) -> np.ndarray:
+    @property
+    def lift(self) -> float:
+        """Its error with the lift's colours."""
+        return self.edited[2]
+
+    def _pull(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """([J, 1] length, [J, 1] hold) of a step."""
+        pull = self.hold * np.float32(FADING**number)
+        return np.where(self.shared > LEAST_SHARED, 1 / np.maximum(self.shared + pull, 1e-6), 0), pull
+
+    def after(self, first: np.ndarray) -> tuple[np.ndarray, int, float, float]:
+        """(a correction after them, how many they were, share of the last one that was taken, share of it all that
+        was)."""
         form, gradient, _ = self.edited
-        change = first
-        for _ in range(ROUNDS):
-            change = change + self.step * (gradient - form @ change - self.pull * (change - first))
-        return change
+        change, excess = first, self.error(first) - self.lift
+        for number in range(MAX_STEPS):
+            if excess <= 0:
+                return change, number, 1.0, 1.0
+            pulled, (step, pull) = gradient - form @ change, self._pull(number)
+            following = change + step * (pulled - pull * (change - first))
+            left, slope = self.error(following) - self.lift, -2 * float((pulled * (following - change)).sum())
+            if left <= 0:
+                share = halfway(first_root(left - excess - slope, slope, excess))
+                return change + np.float32(share) * (following - change), number + 1, share, 1.0
+            change, excess = following, left
+        whole = borne(excess, -2 * float((gradient * change).sum()))
+        return np.float32(whole) * change, MAX_STEPS, 1.0, whole
 
-    def back(self, gradient: np.ndarray) -> np.ndarray:
-        """The gradient of `first` from that of what comes after."""
+    def error(self, change: np.ndarray) -> float:
+        """Squared error of the edited view after a change."""
+        form, gradient, total = self.edited
+        return float(total - 2 * (gradient * change).sum() + (change * (form @ change)).sum())
+
+    def back(self, gradient: np.ndarray, count: int, share: float, whole: float) -> np.ndarray:
+        """The gradient of `first` from that of what comes after; both shares are taken as given."""
+        gradient = whole * gradient
+        if not count:
+            return gradient
+        return share * self._back(gradient, count) + (1 - share) * self._back(gradient, count - 1)
+
+    def _back(self, gradient: np.ndarray, count: int) -> np.ndarray:
         form, _, _ = self.edited
         held, passed = np.zeros_like(gradient), gradient
-        for _ in range(ROUNDS):
-            moved = self.step * passed
-            held = held + self.pull * moved
-            passed = passed - form @ moved - self.pull * moved
+        for number in reversed(range(count)):
+            step, pull = self._pull(number)
+            moved = step * passed
+            held = held + pull * moved
+            passed = passed - form @ moved - pull * moved
         return held + passed
 
 
@@ -180,13 +223,13 @@ def main(options: Options) -> str:
     torch.set_num_threads(1)
     torch.manual_seed(0)
     options.out.mkdir(parents=True, exist_ok=True)
-    weights, network = options.out / "correction.pt", Correction(options.width, options.neighbours)
-    if weights.is_file():
-        network.load_state_dict(torch.load(weights))
-    else:
+    path = options.out / "correction.json"
+    if not path.is_file():
+        network = Correction(options.width)
         train(network, list(_trials(options, held=False)), options.seconds)
-        torch.save(network.state_dict(), weights)
-    table = _table(network.eval(), _trials(options, held=True))
+        path.write_text(json.dumps(network.stored(), separators=(",", ":")) + "\n", encoding="utf-8")
+    weights = CorrectionWeights.read(path.read_text(encoding="utf-8"))
+    table = _table(weights, _trials(options, held=True))
     (options.out / "correction.md").write_text(table, encoding="utf-8")
     return table
 
@@ -229,12 +272,11 @@ def _mesh_trial(stream: Any, number: int, drawn: bool, held: bool) -> Trial | No
 
 
 def train(network: Correction, trials: Sequence[Trial], seconds: float) -> None:
-    """Logarithms of squared errors: of novel views and the edited one, before and after the rounds."""
-    columns = np.concatenate([t.facts.own for t in trials]), np.concatenate([t.facts.around[::7] for t in trials])
-    parts = [torch.from_numpy(part.reshape(-1, part.shape[-1])) for part in columns]
-    mean, deviation = torch.cat([p.mean(0) for p in parts]), torch.cat([p.std(0).clamp(min=0.05) for p in parts])
-    network.scaling.copy_(torch.stack([mean, deviation]))
-    rounds, of_kind = [Rounds.of(trial) for trial in trials], defaultdict(list)
+    """Logarithms of squared errors: of novel views and the edited one, before and after the steps."""
+    facts = [GaussianFacts.of(trial.painted) for trial in trials]
+    values = torch.cat([one.values for one in facts])
+    network.scaling.copy_(torch.stack([values.mean(0), values.std(0).clamp(min=0.05)]))
+    steps, of_kind = [Steps.of(trial) for trial in trials], defaultdict(list)
     for k, trial in enumerate(trials):
         of_kind[trial.kind].append(k)
     kinds = sorted(of_kind)
@@ -249,8 +291,8 @@ def train(network: Correction, trials: Sequence[Trial], seconds: float) -> None:
         for _ in range(TRIALS_PER_STEP):
             chosen = of_kind[kinds[rng.choice(len(kinds), p=odds / odds.sum())]]
             k = chosen[rng.integers(len(chosen))]
-            change = network(trials[k].facts)
-            change.backward(torch.from_numpy(_gradient(trials[k], rounds[k], change.detach().numpy())))
+            change = network(facts[k])
+            change.backward(torch.from_numpy(_gradient(trials[k], steps[k], change.detach().numpy())))
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
         step += 1
@@ -262,76 +304,47 @@ def train(network: Correction, trials: Sequence[Trial], seconds: float) -> None:
             now.copy_(kept)
 
 
-def _gradient(trial: Trial, rounds: Rounds, first: np.ndarray) -> np.ndarray:
-    """[J, 3] of the loss by the correction before the rounds."""
-    after = rounds.after(first)
-    lift = log_error(trial.edited, np.zeros_like(first))[0]
-    (_, novel), (now, edited) = (log_error(form, after) for form in (trial.novel, trial.edited))
-    held = 1.0 if now > lift - HELD_LOG else EASY_WEIGHT
-    (_, novel_alone), (_, edited_alone) = (log_error(form, first) for form in (trial.novel, trial.edited))
-    total = rounds.back(novel + held * edited) + novel_alone + EDITED_ALONE * edited_alone
-    return total.astype(np.float32)
+def _gradient(trial: Trial, steps: Steps, first: np.ndarray) -> np.ndarray:
+    """[J, 3] of the loss by the correction before the steps."""
+    after, count, share, whole = steps.after(first)
+    floor = 3 * float(trial.painted.pictures.mask.sum()) * LEAST_ERROR
+    novel, edited = (trial.novel, LEAST_ERROR), (steps.edited, floor)
+    total = steps.back(_rise(*novel, after) + EASY_WEIGHT * _rise(*edited, after), count, share, whole)
+    return (total + BEFORE * (_rise(*novel, first) + EDITED_ALONE * _rise(*edited, first))).astype(np.float32)
 
 
-def log_error(form: Form, change: np.ndarray) -> tuple[float, np.ndarray]:
-    """(logarithm of the squared error, its gradient [J, 3])."""
+def _rise(form: Form, floor: float, change: np.ndarray) -> np.ndarray:
+    """[J, 3] gradient of the logarithm of a squared error and the floor."""
     matrix, gradient, total = form
     pulled = matrix @ change
-    error = max(float(total - 2 * (gradient * change).sum() + (change * pulled).sum()), 0) + LEAST_ERROR
-    return float(np.log(error)), 2 * (pulled - gradient) / error
+    error = max(float(total - 2 * (gradient * change).sum() + (change * pulled).sum()), 0) + floor
+    return 2 * (pulled - gradient) / error
 
 
-def answers(network: Correction, trial: Trial) -> Iterator[tuple[str, Splats]]:
-    """What is compared: by name."""
-    lifted = trial.lifted
-    with torch.no_grad():
-        change = network(trial.facts).numpy()
-    sh = lifted.splats.sh.copy()
-    sh[trial.facts.ids, 0] += change / SH_C0
-    alone = replace(lifted, splats=replace(lifted.splats, sh=sh))
-    yield "the lift", lifted.splats
-    yield "... and its rounds", with_rounds(lifted, trial, ROUNDS)
-    yield "corrected", alone.splats
-    wanted, result = _edited_error(lifted.splats, trial), alone.splats
-    for rounds in TRIED_ROUNDS:
-        result = with_rounds(alone, trial, rounds)
-        if _edited_error(result, trial) <= wanted:
-            break
-    yield "corrected, held to the picture", result
-
-
-def with_rounds(lifted: LiftedEdit, trial: Trial, rounds: int) -> Splats:
-    """The edit after rounds towards its picture, held to what it is."""
-    splats, view, count = lifted.splats, trial.view, len(lifted.splats)
-    editable, hold = np.zeros(count, bool), np.zeros(count, np.float32)
-    editable[lifted.ids] = True
-    ones = np.ones(view.mask.shape, np.float32)
-    everything = project(splats, view.camera)
-    shown = everything.backproject(view.target, ones).weight
-    hold[everything.gaussian_ids] = np.maximum(footprints(everything) - shown, 0)
-    seen = project(splats, view.camera, tiles=everything.tiles_of(editable))
-    ids = seen.gaussian_ids
-    colors = lift_colors(seen, view.target, ones, editable[ids], rounds, (HOLD + HOLD * hold)[ids])
-    sh = splats.sh.copy()
-    sh[ids, 0] += (editable[ids, None] * (colors - np.maximum(seen.unclamped_colors, 0)) / SH_C0).astype(sh.dtype)
+def corrected(trial: Trial, weights: CorrectionWeights) -> Splats:
+    """A held-out edit with its colours corrected as the package corrects them."""
+    assert trial.judged is not None
+    splats = trial.judged.splats
+    painted, sh = trial.painted, splats.sh.copy()
+    view, movable = painted.view, np.zeros(len(painted.view), bool)
+    movable[painted.entries] = True
+    steps = sirt_steps(view, painted.pictures.target, trial.counts, movable)
+    change = painted.corrected(weights, steps) - view.unclamped_of(painted.entries)
+    sh[view.gaussian_ids[painted.entries], 0] += change / SH_C0
     return replace(splats, sh=sh)
 
 
-def _edited_error(splats: Splats, trial: Trial) -> float:
-    picture = np.clip(np.asarray(render(splats, [trial.view.camera]).colors[0]), 0, 1)
-    return float(np.square(picture - trial.view.edited)[trial.view.mask].mean())
-
-
-def _scores(trial: Trial, splats: Splats) -> list[float]:
+def _scores(edit: JudgedEdit, splats: Splats) -> list[float]:
     """PSNR of novel views at each angle, plainly and after a blur of both by a pixel; of the edited view."""
     found: list[float] = []
-    for cameras, wanted, counted in trial.judged:
+    for cameras, wanted, counted in edit.tests:
         drawn = np.clip(np.asarray(render(splats, list(cameras)).colors), 0, 1)
         soft = [ndimage.gaussian_filter(x, (0, 1, 1, 0)) for x in (drawn, wanted)]
         found += [_decibels(*pair, counted) for pair in ((drawn, wanted), (soft[0], soft[1]))]
-    found += [np.nan] * (2 * (len(JUDGED_DEGREES) - len(trial.judged)))
-    picture = np.clip(np.asarray(render(splats, [trial.view.camera]).colors[0]), 0, 1)
-    return [*found, _decibels(picture, trial.view.edited, ndimage.binary_dilation(trial.view.mask, iterations=3))]
+    found += [np.nan] * (2 * (len(JUDGED_DEGREES) - len(edit.tests)))
+    picture = np.clip(np.asarray(render(splats, [edit.view.camera]).colors[0]), 0, 1)
+    around = ndimage.binary_dilation(edit.view.mask, iterations=RIM_PX)
+    return [*found, _decibels(picture, edit.view.edited, around)]
 
 
 def _decibels(picture: np.ndarray, wanted: np.ndarray, counted: np.ndarray) -> float:
@@ -340,19 +353,19 @@ def _decibels(picture: np.ndarray, wanted: np.ndarray, counted: np.ndarray) -> f
     return float(-10 * np.log10(max(float(np.square(picture - wanted)[counted].mean()), 1e-9)))
 
 
-def _table(network: Correction, held: Iterator[Trial]) -> str:
-    """Means of the lift, and what else differs by, with standard errors, for each kind."""
-    found: dict[str, dict[str, list[list[float]]]] = defaultdict(lambda: defaultdict(list))
+def _table(weights: CorrectionWeights, held: Iterator[Trial]) -> str:
+    """Means of the lift, and what the correction adds, with standard errors, for each kind."""
+    found: dict[str, list[tuple[list[float], list[float]]]] = defaultdict(list)
     for trial in held:
-        for name, splats in answers(network, trial):
-            found[trial.kind][name].append(_scores(trial, splats))
+        if (edit := trial.judged) is not None:
+            scores = _scores(edit, edit.splats), _scores(edit, corrected(trial, weights))
+            found[trial.kind].append(scores)
     columns = [f"{what}{degrees:g}" for degrees in JUDGED_DEGREES for what in ("", "soft ")] + ["edited"]
     rows = []
-    for kind, names in sorted(found.items()):
-        lift = np.array(names.pop("the lift"))
-        rows.append({"": f"{kind} ({len(lift)})", **_cells(columns, lift, "{:.2f}")})
-        for name, values in names.items():
-            rows.append({"": name, **_cells(columns, np.array(values) - lift, "{:+.2f} ({:.2f})")})
+    for kind, scores in sorted(found.items()):
+        lift, better = (np.array(values) for values in zip(*scores, strict=True))
+        rows.append({"": f"{kind} ({len(lift)}): the lift", **_cells(columns, lift, "{:.2f}")})
+        rows.append({"": "... corrected", **_cells(columns, better - lift, "{:+.2f} ({:.2f})")})
     return markdown(rows)
 
 

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 NOT_LOCAL = "Stage II of these weights is for global edits only: the analytic lift"
 """Why a local edit is the lift's, whatever was asked for (ModelConfig.edits_locally)."""
+LIFT_ALONE = "preset 'lift': the analytic lift"
+"""Why an edit by "auto" is the lift's, and is not corrected."""
 DEFAULT_MODES: tuple[Mode, ...] = ("local", "global")
 """Modes that may be asked for where a caller does not say."""
 
@@ -90,7 +92,7 @@ class Painter:
                 why = f"made by the analytic lift: the network of preset 'compact' measured no better{where}"
             return Painter(model, weights.deferred_local(), settings, why=why)
         if preset == "lift":
-            return Painter(settings=alone, why="preset 'lift': the analytic lift")
+            return Painter(settings=alone, why=LIFT_ALONE)
         return Painter(*weights.load_all(preset), settings)
 
     @property
@@ -141,8 +143,10 @@ class Painter:
         mode "spread": as "local", and the change of colour goes on over the rest of the painted material, as far as
         `spread_options` says (spread/spread.py); by the lift alone.
         method "ttt": the networks (pictures of one size); "lift": analytic; "fit": the lift, then steps of 3DGS on the
-        Gaussians that it painted, seconds to tens of them; "auto": ttt where the painter has a model that is better in
-        this mode, else lift. An asset that its model has not encoded yet is encoded first.
+        Gaussians that it painted, seconds to tens of them; "corrected": the lift, in colours that a small network
+        corrects for views from beside where one view's paint lies on a part of the asset; "auto": ttt where the painter
+        has a model that is better in this mode, else corrected in mode "local" and lift in others. An asset that its
+        model has not encoded yet is encoded first.
         Gaussians that did not have to change keep their bits, and all old ones their indices.
         Raises ValueError: no edits, an empty mask, an edit that reaches no Gaussian, a camera inside the object."""
         if not 1 <= len(edits) <= MAX_VIEWS:
@@ -175,7 +179,8 @@ class Painter:
         return result
 
     def choose(self, method: Method, mode: Mode) -> tuple[Method, str]:
-        """What `apply` does for a method: (method, never "auto", and the one line that says why). Weights whose notes
+        """What `apply` does for a method: (method, never "auto", and the one line that says why). Local edits by "auto"
+        that no other network makes are the lift's, corrected; those of preset "lift" are not. Weights whose notes
         hold `gain`, {mode: dB over the lift on objects kept out of training}, are used by "auto" only where that is
         above 0; a Stage II that has learnt global edits alone makes no local ones. Raises ValueError for a method that
         is not known, or needs a model that is not there."""
@@ -194,6 +199,12 @@ class Painter:
             if method not in ("auto", "lift"):
                 raise ValueError(f"method: mode spread is made by the lift alone, got {method!r}")
             return "lift", "mode spread: the analytic lift"
+        chosen, why = self._choose(method, mode, reads_pictures)
+        corrects = (method, mode, chosen) == ("auto", "local", "lift") and self.why != LIFT_ALONE
+        return ("corrected" if corrects else chosen), why
+
+    def _choose(self, method: Method, mode: Mode, reads_pictures: bool) -> tuple[Method, str]:
+        """As `choose`, where "lift" may still be corrected."""
         networks = method == "ttt" or (method == "auto" and not self.why)
         if reads_pictures and networks:
             assert self.local is not None
@@ -211,8 +222,8 @@ class Painter:
                 why = f"weights of preset '{self.preset}' ({measured})"
                 return ("ttt", f"{why}: {networks}") if gain > 0 else ("lift", f"{why}: the analytic lift")
             return "lift", self.why or "no trained weights: the analytic lift"
-        if method not in ("ttt", "lift", "fit"):
-            raise ValueError(f"method: expected auto, ttt, lift or fit, got {method!r}")
+        if method not in ("ttt", "corrected", "lift", "fit"):
+            raise ValueError(f"method: expected auto, ttt, corrected, lift or fit, got {method!r}")
         if method == "ttt" and mode == "global" and not self.encodes(method, mode):
             return method, f"preset '{self.preset}' makes global edits by its predictor; preset 'rows' adapts to them"
         return method, ""

@@ -37,7 +37,7 @@ def test_auto_takes_compact_once_its_weights_are_there(view: Path, tmp_path: Pat
     here = view.parent
     words = ["edit", here / "ball.ply", view]
     plain = run(capfd, *words, "--out", here / "lift.ply", "--json").json["receipt"]
-    assert (plain["method"], plain["preset"]) == ("lift", "lift") and "no trained weights" in plain["note"]
+    assert (plain["method"], plain["preset"]) == ("corrected", "lift") and "no trained weights" in plain["note"]
     save(tmp_path / "weights" / "compact", replace(LIFT, preset="compact"))
     done = run(capfd, *words, "--out", here / "ttt.ply", "--json").json
     receipt = done["receipt"]
@@ -117,7 +117,7 @@ def test_the_local_network_that_ships_paints_by_request_alone(
     here = view.parent
     words = ["edit", here / "ball.ply", view, "--preset", preset, "--json", "--out"]
     by_default = run(capfd, *words, here / "auto.ply").json["receipt"]
-    assert by_default["method"] == "lift" and "preset 'local'" in by_default["note"]
+    assert by_default["method"] == "corrected" and "preset 'local'" in by_default["note"]
     done = run(capfd, *words, here / "ttt.ply", "--method", "ttt").json
     receipt = done["receipt"]
     assert done["verified"] and (receipt["method"], receipt["preset"], receipt["mode"]) == ("ttt", "local", "local")

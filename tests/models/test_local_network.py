@@ -373,7 +373,11 @@ def test_a_painter_makes_local_edits_by_it(tmp_path: Path, float32: None) -> Non
 
 def test_auto_takes_it_only_where_it_was_measured_to_be_better() -> None:
     made = network()
-    for gain, method in (({}, "lift"), ({"gain": {"local": -0.1}}, "lift"), ({"gain": {"local": 0.4}}, "ttt")):
+    for gain, method in (
+        ({}, "corrected"),
+        ({"gain": {"local": -0.1}}, "corrected"),
+        ({"gain": {"local": 0.4}}, "ttt"),
+    ):
         made.notes = gain
         chosen, why = Painter(local=made).choose("auto", "local")
         assert chosen == method and "preset 'local'" in why

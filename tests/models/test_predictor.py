@@ -286,7 +286,7 @@ def test_weights_that_only_help_elsewhere_are_not_read(tmp_path, monkeypatch: py
     monkeypatch.setenv(weights.VARIABLE, str(tmp_path))
     assert Painter.load().model is not None and Painter.load(modes=["global"]).model is not None
     local = Painter.load(modes=["local"])
-    assert local.choose("auto", "local")[0] == "lift" and "in local edits" in local.choose("auto", "local")[1]
+    assert local.choose("auto", "local")[0] == "corrected" and "in local edits" in local.choose("auto", "local")[1]
     assert local.choose("ttt", "local")[0] == "ttt" and "_model" not in vars(local.model)
 
 

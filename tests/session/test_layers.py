@@ -37,7 +37,7 @@ def test_layers_are_the_painter_applied_again_and_again():
 
 def test_the_same_with_the_real_painter():
     splats = sheet(16, degree=1, opacity=0.95)
-    painter = Painter.load("lift")
+    painter = Painter()
     edits = [dab(RED, 14, radius=7), dab(BLUE, 19, radius=6)]
     one = painter.encode(splats)
     for edit in edits:
@@ -46,7 +46,7 @@ def test_the_same_with_the_real_painter():
         for edit in edits:
             layer = session.layers.add("picture", [edit])
         facts = session.layers.facts(layer.id)
-        assert facts["method"] == "lift" and facts["seconds"] > 0 and facts["views"][0]["psnr_after"] > 10
+        assert facts["method"] == "corrected" and facts["seconds"] > 0 and facts["views"][0]["psnr_after"] > 10
         assert same_bits(session.splats, one.splats)
         assert session.verify(repaint=True) == []
         receipt = session.files.receipt()

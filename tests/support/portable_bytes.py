@@ -19,8 +19,11 @@ from splatpainter.grading.color_match import AffineMap, monge_kantorovitch, stat
 from splatpainter.holes.fill import fill_hole
 from splatpainter.io import read, write
 from splatpainter.io.axes import move
-from splatpainter.painter import Painter
+from splatpainter.lift.options import LocalOptions
+from splatpainter.painter import Edit, Painter
+from splatpainter.painting.asset import Asset
 from splatpainter.pictures.color_profiles import primaries_to_srgb
+from splatpainter.rendering import render
 from splatpainter.scene.placement import Placement
 from splatpainter.session.measures.mirror_plane import find_mirror_plane
 from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
@@ -87,6 +90,22 @@ def decal() -> str:
     return f"{digest(edited)} {hashlib.sha256(text).hexdigest()[:16]}"
 
 
+def corrected(asset: Splats) -> str:
+    """Of a disk painted onto a plate in one view: corrected on its sheet, and where it is split."""
+    camera = look_at((0.5, 0.4, 3.2), (0, 0, 0), (0, 1, 0), width=120, height=120, fov=40)
+    picture = np.asarray(render(asset, camera).colors[0]).copy()
+    y, x = np.mgrid[:120, :120]
+    picture[(x - 55) ** 2 + (y - 64) ** 2 < 500] = 0.9, 0.2, 0.1
+    digests = []
+    for fine_px in (0.0, 1e3):
+        painter = Painter().with_settings(local_options=LocalOptions(fine_px=fine_px))
+        edited = painter.apply(Asset(asset), [Edit(picture, camera)])
+        assert edited.receipt is not None and edited.receipt.method == "corrected"
+        digests.append(digest(edited.splats))
+    assert digests[0] != digests[1]
+    return " ".join(digests)
+
+
 def main() -> None:
     splats = bumpy_plate()
     with tempfile.TemporaryDirectory() as folder:
@@ -104,6 +123,7 @@ def main() -> None:
     matched = AffineMap(monge_kantorovitch(one, other), mean, target)
     print("laid over", laid_over())
     print("decal", decal())
+    print("corrected", corrected(splats))
     print("matched", hashlib.sha256(repr(matched).encode()).hexdigest()[:16])
 
 

@@ -17,6 +17,7 @@ from splatbench.cases import Budget
 from splatbench.methods import EditResult, EditTask, Method
 from splatbench.methods.lift import TABLES, painted
 from splatbench.methods.weights import COMPACT, SHIPPED, Weights
+from splatpainter.lift.local import correction
 from splatpainter.models.local_config import LocalConfig
 from splatpainter.painter import EditSettings, Painter
 
@@ -108,7 +109,7 @@ def _method(name: str, label: str, weights: Weights, **options: bool) -> Method:
 
 
 def _auto_version(budget: Budget) -> str:
-    return f"{SHIPPED.version(budget)} {LOCAL.version(budget)}"
+    return f"{SHIPPED.version(budget)} {LOCAL.version(budget)} {correction.digest()}"
 
 
 METHODS = (

@@ -16,8 +16,9 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from splatpainter.array_types import Bools, Floats
+from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
+from splatpainter.color import base_color
 from splatpainter.kernels.arrays import aligned
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
@@ -26,7 +27,7 @@ from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.rendering.cpu.geometry import STEP_SIZES
 from splatpainter.rendering.cpu.projected_view import ProjectedView, project
 from splatpainter.rendering.cpu.recent_views import drawn_view
-from splatpainter.rendering.cpu.sirt import sirt_steps
+from splatpainter.rendering.cpu.sirt import CachedWeights, UncachedWeights, sirt_steps
 from splatpainter.splats import SH_C0, Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
@@ -51,10 +52,11 @@ def lift_colors(
     rounds: int,
     hold: np.ndarray | None = None,
     relaxation: float = 1.0,
+    steps: CachedWeights | UncachedWeights | None = None,
 ) -> np.ndarray:
     """Colours [M, 3] towards this view after `rounds`. target: [H, W, 3]; weights: [H, W] m_p; editable: [M] bool,
     Gaussians that may move; hold: [M] >= 0, what each one's old colour weighs beside sum_p w_ip m_p; relaxation: share
-    of each step that is taken."""
+    of each step that is taken; steps: those of these arguments, if at hand."""
     out = view.colors.copy()
     if not rounds:
         return out
@@ -62,7 +64,7 @@ def lift_colors(
     at = np.flatnonzero(editable)
     first = out.take(at, 0)
     colors, ceiling = first, np.maximum(first, MAX_COLOR)
-    towards = sirt_steps(view, target, weights, editable, first)
+    towards = steps or sirt_steps(view, target, weights, editable, first)
     total = towards.weight
     pull = np.zeros_like(total) if hold is None else hold[editable].astype(total.dtype)
     # Where the mask shows nothing of a Gaussian its step is 0, so that it keeps its colour exactly.
@@ -74,6 +76,14 @@ def lift_colors(
         colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)
     out[at] = colors
     return out
+
+
+def colors_towards(view: ProjectedView, splats: Splats, ids: Ids) -> np.ndarray:
+    """[J, 3] colours of some of the splats ([J] int64) towards a view of them; base colours of those not in it."""
+    entries, colors = view.entries[ids], base_color(splats.sh[ids, :1])
+    seen = entries >= 0
+    colors[seen] = view.unclamped_of(entries[seen])
+    return colors
 
 
 def painted_sh(

@@ -86,6 +86,8 @@ class LiftedEdit:
     """[E] int64 ascending, part of `ids`: those whose indices are empty now (opacity 0)."""
     limited: tuple[float, ...] = ()
     """Per view, edited pixels' worth of paint that its limits left out."""
+    corrected: bool = False
+    """Whether its colours were corrected (`LocalOptions.correct`)."""
     note: str = ""
     """A line for receipts."""
 
@@ -290,10 +292,12 @@ def _on_surface(
 
     if len(views) == 1:
         view = views[0]
-        return result.after(painted_by(view, view.mask, options, at_hand=view.projected)).lifted(len(splats))
+        lifted = result.after(painted_by(view, view.mask, options, at_hand=view.projected)).lifted(len(splats))
+        return replace(lifted, corrected=options.correct and not is_wide(view.mask))
     # Which view paints which point of the surface is decided before anything is painted, on the asset as it is.
     shares = view_shares(splats, surface, views)
-    options = replace(options, spares_long=True)
+    # What is seen from beside other views say, no guess.
+    options = replace(options, spares_long=True, correct=False)
     settings = [replace(options, max_error=1.0) if again else options for again in _shown_again(splats, grid, views)]
     on_surface, limited = [np.zeros_like(view.mask) for view in views], [0.0] * len(views)
     for k, (view, share) in enumerate(zip(views, shares, strict=True)):

@@ -53,6 +53,8 @@ class LocalOptions:
     """Edited pixels without a sheet up to which they are left as they are, not split."""
     damping: float = 0.3
     """What is left of SH bands >= 1 in a fully repainted Gaussian, 0..1."""
+    correct: bool = False
+    """One view's paint on a part takes colours that suit views from beside, too (correction.py)."""
     spares_long: bool = False
     """Long Gaussians of which little lies under the paint keep their colour (`evidence.reaches_out`). For edits of
     several views: other ones see what a view hides of them. With one view novel ones of captures gain 0.2 to 1.4 dB

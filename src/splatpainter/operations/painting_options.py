@@ -44,9 +44,10 @@ class PaintingOptions(ViewLimits):
     """How pictures are painted."""
 
     method: Method = "auto"
-    """Method of the edit: lift (analytic, under a second), fit (the lift, then some seconds of optimisation: nearer to
-    the picture, local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else
-    lift."""
+    """Method of the edit: lift (analytic, under a second), corrected (the lift, in colours that a small network adapts
+    to views from beside; local edits only), fit (the lift, then some seconds of optimisation: nearer to the picture;
+    local edits only), ttt (the networks of PRESET); auto: ttt where trained weights are better, else corrected in local
+    edits and lift in others."""
     preset: str = parameter("auto", metavar="NAME|DIR")
     """Weights: compact, rows, paper, local, a folder of weights, or lift (none); auto: compact where its weights are,
     else lift. Local edits by ttt are those of local, unless the weights have learnt local ones."""

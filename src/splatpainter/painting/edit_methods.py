@@ -66,7 +66,11 @@ class EditMethod:
 
     def preset(self, painter: str) -> str:
         """The weights that receipts name. painter: the painter's preset."""
-        return "lift" if self.ran in ("lift", "fit") else painter
+        return "lift" if self.ran in ("lift", "corrected", "fit") else painter
+
+    def made(self, lifted: LiftedEdit) -> str:
+        """What receipts call it, of this edit."""
+        return self.ran
 
     def make(self, asset: Asset, views: Sequence[EditView], clock: StageClock) -> tuple[LiftedEdit, Asset]:
         """(what the lift made of the views, the edited asset without a receipt)."""
@@ -88,6 +92,24 @@ class EditMethod:
     def predict(self, asset: Asset) -> Predict | None:
         """Who answers for Gaussians that no view of a global edit shows; None: the lift."""
         return None
+
+
+@dataclass(frozen=True)
+class CorrectedMethod(EditMethod):
+    """The lift, in colours that a small network corrects for views from beside (lift/local/correction.py)."""
+
+    @property
+    def ran(self) -> str:
+        return "corrected"
+
+    def made(self, lifted: LiftedEdit) -> str:
+        return self.ran if lifted.corrected else "lift"
+
+    def lift(self, asset: Asset, views: Sequence[EditView]) -> LiftedEdit:
+        from splatpainter.lift.options import LOCAL_DEFAULTS
+
+        options = replace(self.settings.local_options or LOCAL_DEFAULTS, correct=True)
+        return lift_locally(asset, views, replace(self.settings, local_options=options))
 
 
 @dataclass(frozen=True)
@@ -284,10 +306,10 @@ def method_for(
         return SpreadMethod(mode, settings)
     if chosen == "lift":
         return EditMethod(mode, settings)
-    if chosen == "fit":
+    if chosen in ("corrected", "fit"):
         if mode == "global":
-            raise ValueError("edit: method 'fit' is for local edits; use 'lift' with mode 'global'")
-        return FitMethod(mode, settings)
+            raise ValueError(f"edit: method '{chosen}' is for local edits; use 'lift' with mode 'global'")
+        return (CorrectedMethod if chosen == "corrected" else FitMethod)(mode, settings)
     # A painter's own networks go first where they have learnt local edits.
     if mode == "local" and local is not None and (networks is None or not networks.model.config.edits_locally):
         return PicturesMethod(mode, settings, local)

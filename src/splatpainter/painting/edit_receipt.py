@@ -75,7 +75,7 @@ def edit_receipt(
         output_sha256="",
         output_rows=len(result.splats),
         mode=mode,
-        method=method.ran,
+        method=method.made(lifted),
         preset=method.preset(preset),
         touched=touched,
         replaced=lifted.replaced[np.isin(lifted.replaced, touched, assume_unique=True)],

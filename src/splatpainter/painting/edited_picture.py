@@ -11,8 +11,8 @@ from splatpainter.cameras import Camera
 from splatpainter.system.quick_dataclass import dataclass
 
 Mode = Literal["local", "global", "spread"]
-Method = Literal["auto", "ttt", "lift", "fit"]
-LayerMethod = Literal["auto", "ttt", "lift", "fit", "predictor"]
+Method = Literal["auto", "ttt", "corrected", "lift", "fit"]
+LayerMethod = Literal["auto", "ttt", "corrected", "lift", "fit", "predictor"]
 """What is asked of a layer, or, once it was made, what made it, as receipts have it."""
 MAX_VIEWS = 16
 """Most edited pictures of one edit."""

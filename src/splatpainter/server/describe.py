@@ -287,7 +287,7 @@ def _same(before: Sequence[object], now: Sequence[object]) -> bool:
 def methods(session: Session) -> list[protocol.Method]:
     """Those that this session's painter has; "ttt" where it is more than what "auto" may choose anyway."""
     network = any(session.painter.encodes("ttt", mode) for mode in ("local", "global"))
-    return ["auto", "ttt", "lift", "fit"] if network else ["auto", "lift", "fit"]
+    return ["auto", "ttt", "corrected", "lift", "fit"] if network else ["auto", "corrected", "lift", "fit"]
 
 
 def endings() -> list[str]:

@@ -23,7 +23,7 @@ export interface KeptStroke {
   layer: string | null;
   name: string;
   target: StrokeTarget;
-  method: "auto" | "ttt" | "lift" | "fit";
+  method: "auto" | "ttt" | "corrected" | "lift" | "fit";
   limits: PaintLimits;
   mirror: Symmetry | null;
   /** As `Stroke.committing`. */

@@ -35,7 +35,7 @@ export interface StrokeOptions {
   target: () => StrokeTarget;
   /** Send the commit; `committing` is set. */
   commit: (fields: PaintEnd) => Promise<LayerInfo>;
-  method: "auto" | "ttt" | "lift" | "fit";
+  method: "auto" | "ttt" | "corrected" | "lift" | "fit";
   limits: PaintLimits;
   opacity: number;
   /** Where it is mirrored; null: nowhere. */

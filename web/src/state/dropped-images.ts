@@ -96,7 +96,7 @@ export function discard(id: number): void {
 export const maskUrl = (image: DroppedImage): string | null => image.checked && blobUrl(image.checked.mask);
 
 /** One layer from all pictures that have a camera. */
-export async function applyImages(method: "auto" | "ttt" | "lift" | "fit"): Promise<void> {
+export async function applyImages(method: "auto" | "ttt" | "corrected" | "lift" | "fit"): Promise<void> {
   const ready = droppedImages.value.filter((one) => one.checked);
   const mode = editMode.value;
   const views = ready.map((one) => ({

@@ -27,7 +27,7 @@ const MODES: readonly (readonly [PaintMode, string])[] = [
   ["darken", "Darken"],
   ["lighten", "Lighten"],
 ];
-const METHODS = { auto: "Auto", ttt: "Network", lift: "Lift", fit: "Fit" } as const;
+const METHODS = { auto: "Auto", ttt: "Network", corrected: "Corrected", lift: "Lift", fit: "Fit" } as const;
 /** Whether the limits are being set. */
 const limiting = signal(false);
 

@@ -12,6 +12,9 @@ import numpy as np
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
 from splatpainter.kernels.rows import take, taken
+from splatpainter.lift.colors import MIN_CHANGE, colors_towards
+from splatpainter.lift.local import correction
+from splatpainter.lift.local.correction import PaintedGaussians, PaintedPictures
 from splatpainter.lift.local.local_edit import (
     NOTHING_THERE,
     NothingPaintableError,
@@ -28,11 +31,13 @@ from splatpainter.lift.sheets.view_limits import paintable
 from splatpainter.order_statistics import distinct
 from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, copy_tiles, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import DrawnView, recent_drawing, recent_view
-from splatpainter.splats import ATTRIBUTES, Splats
+from splatpainter.rendering.cpu.sirt import sirt_steps
+from splatpainter.splats import ATTRIBUTES, SH_C0, Splats
 from splatpainter.surface.estimate import Surface
 from splatpainter.surface.recent_sights import keep_sight, recent_sight
 from splatpainter.surface.visible import SightEstimates, visible_surface
 from splatpainter.system.quick_dataclass import dataclass
+from splatpainter.transforms import row_max
 
 
 @dataclass(frozen=True)
@@ -181,7 +186,7 @@ def _paint_part(
     `paint_view`."""
     camera, reach, (first_appended, originals) = view.camera, dilated(mask, RING_PX), counts
     # The surface under the mask and its ring, as far as the asset covers the pixels.
-    before, alpha = view.rasterize()[:2] if drawn is None else (drawn.colors, drawn.alphas)
+    before, alpha, depth = view.rasterize() if drawn is None else (drawn.colors, drawn.alphas, drawn.depths)
     drawn_tiles = view.tiles if drawn is None else drawn.view.tiles
     solid = alpha > RESURFACING.min_cover
     # Of a stroke in the studio most of it was estimated while it was drawn; of paint over paint, for the edit before.
@@ -219,19 +224,76 @@ def _paint_part(
         laid = lay_sheet(splats, view, around, visible, alpha, target, changed, pixels, options)
         del visible
         if laid is not None:
-            sheet = resurface(splats, laid, around, before, drawn_tiles, target, options, first_appended)
+            sheet = resurface(
+                splats, laid, around, (before, alpha, depth), drawn_tiles, target, options, first_appended
+            )
     # No trusted surface anywhere: split, as captures' fog needs.
     if sheet is None:
         lifted = lift_local(splats, camera, target, painted, options, may)
         edit = SparseEdit.of(lifted.splats, lifted.touched, lifted.parents)
+        if options.correct:
+            edit = _corrected(splats, edit, around, (before, alpha, depth), drawn_tiles, (at, paint))
         return _PaintedPart(edit, none, none, limited, on_surface)
     result = _PaintedPart(sheet.edit, sheet.replaced, sheet.edit.emptied, limited, sheet.covered)
     # The sheet covers what it can; the rest is split after it, on top of the result.
     left = painted & ~sheet.covered
-    if left.sum() <= options.max_left_px:
-        return result
-    target = _target(view, before, at, paint)
-    return _then_split(splats, result, camera, target, left, options, may, around.tiles)
+    if left.sum() > options.max_left_px:
+        target = _target(view, before, at, paint)
+        result = _then_split(splats, result, camera, target, left, options, may, around.tiles)
+    return result
+
+
+def _corrected(
+    splats: Splats,
+    edit: SparseEdit,
+    around: ProjectedView,
+    before: tuple[np.ndarray, ...],
+    drawn: Bools,
+    painted: tuple[Ids, np.ndarray],
+) -> SparseEdit:
+    """An edit of the S `splats` that has no sheet, in colours that suit views from beside, too (correction.py). around:
+    of the splats; before: image, alpha and depth that it shows, in the tiles `drawn` ([TH, TW] bool); painted: `at` and
+    `paint` of `_target`."""
+    count, changed = len(splats), edit.values.append(edit.appended)
+    ids = np.concatenate([edit.ids, np.arange(count, count + len(edit.parents))])
+    # Only what the edit changed is projected; the rest is cut out of the view at hand.
+    fresh = project(changed, around.camera, tiles=around.tiles)
+    fresh = replace(fresh, gaussian_ids=ids[fresh.gaussian_ids], num_gaussians=count + len(edit.parents))
+    tiles = fresh.tiles_of(np.ones(fresh.num_gaussians, bool))
+    view = around.merged(fresh.part(tiles=tiles), tiles=tiles, without=edit.ids)
+    number = np.full(view.num_gaussians, -1, np.int64)
+    number[ids] = np.arange(len(ids))
+    entries = np.flatnonzero(number[view.gaussian_ids] >= 0)
+    if not len(entries):
+        return edit
+    # The picture to reach: the paint, and beside it what was there.
+    target, alpha, depth = around.empty_picture(), np.zeros_like(before[1]), np.zeros_like(before[2])
+    for picture, source in zip((target, alpha, depth), before, strict=True):
+        copy_tiles(picture, source, tiles & drawn)
+    around.redraw(tiles & ~drawn, target, alpha, depth)
+    at, paint = painted
+    target.reshape(-1, 3)[at] = paint
+    mask = np.zeros(alpha.shape, bool)
+    mask.ravel()[at] = True
+    pictures = PaintedPictures(target, mask, alpha, depth)
+    movable = np.zeros(len(view), bool)
+    movable[entries] = True
+    which, parents = number[view.gaussian_ids[entries]], np.concatenate([edit.ids, edit.parents])
+    lift = view.colors[entries]
+    colors = PaintedGaussians(
+        changed.geometry(which),
+        view,
+        entries,
+        view.mask_sums(mask, np.ones(mask.shape, bool))[1],
+        lift,
+        colors_towards(around, splats, parents[which]),
+        ids[which] >= count,
+        pictures,
+    ).corrected(correction.weights(), sirt_steps(view, target, pictures.weights, movable, lift))
+    moved, sh = row_max(np.abs(colors - lift)) > MIN_CHANGE, changed.sh.copy()
+    sh[which[moved], 0] += (colors - view.unclamped_of(entries))[moved] / SH_C0
+    old = len(edit.ids)
+    return replace(edit, values=replace(edit.values, sh=sh[:old]), appended=replace(edit.appended, sh=sh[old:]))
 
 
 def _target(view: ProjectedView, before: np.ndarray, at: Ids, paint: np.ndarray) -> Floats:

@@ -20,7 +20,9 @@ from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.kernels.rows import take
-from splatpainter.lift.colors import MIN_CHANGE, lift_colors, recolor
+from splatpainter.lift.colors import MIN_CHANGE, colors_towards, lift_colors, recolor
+from splatpainter.lift.local import correction
+from splatpainter.lift.local.correction import PaintedGaussians, PaintedPictures
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.masks import box_mean, dilated, paste, window_around
 from splatpainter.lift.nearest import nearest_pixels
@@ -31,6 +33,7 @@ from splatpainter.lift.sheets.pieces import Pieces, joined_view
 from splatpainter.lift.sheets.sheet import SHEET, Cells, SheetGeometry, flat_cells, sheet_geometry
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
 from splatpainter.rendering.cpu.projected_view import ProjectedView, copy_tiles, project, tiles_of_mask
+from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
 from splatpainter.system.quick_dataclass import dataclass
@@ -197,7 +200,7 @@ def resurface(
     splats: Splats,
     laid: LaidSheet,
     around: ProjectedView,
-    before: np.ndarray,
+    before: tuple[np.ndarray, ...],
     drawn: Bools,
     target: Floats,
     options: LocalOptions,
@@ -206,18 +209,19 @@ def resurface(
     """Colour rounds of a sheet, and everything at its index. Apart from laying it, as here an edit needs the most
     memory, and nothing is read any more of what says where the surface is.
 
-    around, target: as of `lay_sheet`; the target is written to; before: [H, W, 3] what the view shows, in the tiles
-    `drawn` ([TH, TW] bool); first_appended: Gaussians from this index on are no part of the original, and their indices
-    may take any sheet Gaussian."""
+    around, target: as of `lay_sheet`; the target is written to; before: image, alpha and depth that the view shows, in
+    the tiles `drawn` ([TH, TW] bool); first_appended: Gaussians from this index on are no part of the original, and
+    their indices may take any sheet Gaussian."""
     # The pixels beside the sheet ask for what they showed before.
-    paste(target, before, laid.painted & ~laid.covered)
-    copy_tiles(target, before, laid.tiles & drawn & ~tiles_of_mask(laid.painted))
+    image, alpha, depth = before
+    paste(target, image, laid.painted & ~laid.covered)
+    copy_tiles(target, image, laid.tiles & drawn & ~tiles_of_mask(laid.painted))
     missing = laid.tiles & ~drawn
     if missing.any():
-        # Of alpha and depth, which nobody reads, only the pages of these tiles become memory.
-        around.redraw(missing, target, *(np.zeros(target.shape[:2], target.dtype) for _ in range(2)))
-    weights = np.where(laid.painted, laid.covered, RESURFACING.unedited_weight).astype(np.float32)
-    return _assemble(splats, laid, _recolored(splats, laid, around, target, weights, options), first_appended)
+        alpha, depth = alpha.copy(), depth.copy()
+        around.redraw(missing, target, alpha, depth)
+    pictures = PaintedPictures(target, laid.painted & laid.covered, alpha, depth)
+    return _assemble(splats, laid, _recolored(splats, laid, around, pictures, options), first_appended)
 
 
 def without_islands(mask: np.ndarray) -> Bools:
@@ -375,7 +379,7 @@ class _Recolored:
 
 
 def _recolored(
-    splats: Splats, laid: LaidSheet, around: ProjectedView, goal: np.ndarray, weights: np.ndarray, options: LocalOptions
+    splats: Splats, laid: LaidSheet, around: ProjectedView, pictures: PaintedPictures, options: LocalOptions
 ) -> _Recolored:
     """Colour rounds of the sheet, of the pieces around it and of what hangs before it. around: of the N `splats`, with
     the sheet's tiles."""
@@ -387,11 +391,30 @@ def _recolored(
     # What hangs before the sheet and gives its pixels light has to take part, or the sheet would compensate for it.
     hanging = (inside.peak > RESURFACING.min_peak) & (inside.weight > RESURFACING.min_sheet_share * everywhere.weight)
     hanging &= inside.weight > RESURFACING.min_visible * inside.alpha
-    del inside, everywhere  # now comes what an edit needs the most memory for
-    editable = np.flatnonzero(added | piece | hanging)
-    lifted = lift_colors(
-        view, goal, weights, added | piece | hanging, options.sheet_rounds, relaxation=RESURFACING.color_step_fraction
-    )
+    del inside  # now comes what an edit needs the most memory for
+    movable = added | piece | hanging
+    editable = np.flatnonzero(movable)
+    goal, rounds = pictures.target, options.sheet_rounds
+    weights = np.where(laid.painted, covered, RESURFACING.unedited_weight).astype(np.float32)
+    steps = sirt_steps(view, goal, weights, movable) if options.correct else None
+    relaxation = RESURFACING.color_step_fraction
+    lifted = lift_colors(view, goal, weights, movable, rounds, relaxation=relaxation, steps=steps)
+    if steps is not None:
+        # What the picture leaves open, views from beside decide.
+        numbers = ids[editable]
+        parents = np.concatenate([np.arange(count), pieces.parent_ids, laid.parent_ids])[numbers]
+        old = np.concatenate([np.ones(count, bool), pieces.slot, np.zeros(len(laid.parent_ids), bool)])
+        gaussians = PaintedGaussians(
+            _geometry(splats, fresh, numbers),
+            view,
+            editable,
+            everywhere,
+            lifted.take(editable, 0),
+            colors_towards(around, splats, parents),
+            ~old[numbers],
+            pictures,
+        )
+        lifted[editable] = gaussians.corrected(correction.weights(), steps)
     before, lifted, ids = view.unclamped_of(editable), lifted.take(editable, 0), ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     sh = fresh.sh
@@ -404,6 +427,13 @@ def _recolored(
     hanging = moved & (ids < count)
     recolored = recolor(splats.sh.take(ids[hanging], 0), before[hanging], lifted[hanging], options.damping)
     return _Recolored(ids[hanging], recolored)
+
+
+def _geometry(splats: Splats, fresh: Splats, ids: Ids) -> Splats:
+    """Where some of N `splats` and of what comes after them lie, without colours."""
+    old = ids < len(splats)
+    order = np.argsort(np.concatenate([np.flatnonzero(old), np.flatnonzero(~old)]), kind="stable")
+    return splats.geometry(ids[old]).append(fresh.geometry(ids[~old] - len(splats))).take(order)
 
 
 def _assemble(splats: Splats, laid: LaidSheet, painted: _Recolored, first_appended: int) -> Resurfaced:

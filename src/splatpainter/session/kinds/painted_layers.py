@@ -127,7 +127,7 @@ class PaintedLayer(LayerOperation):
 
     @property
     def reads_locally(self) -> bool:
-        return self.is_local_paint and self.method == "lift"
+        return self.is_local_paint and self.method in ("lift", "corrected")
 
     @property
     def certain_confidence(self) -> int:
@@ -142,7 +142,10 @@ class PaintedLayer(LayerOperation):
 
     def repainted(self, painter: Painter, method: Method | None = None) -> LayerOperation:
         # "auto" is decided once: a painter that gains a network later must not change layers that are there.
-        method = painter.choose(self.method if method is None else method, self.mode)[0]
+        request = self.method if method is None else method
+        method = painter.choose(request, self.mode)[0]
+        if request == "auto" and method == "corrected" and self.by_hand:
+            method = "lift"  # a stroke is to be there at once
         return replace(self, method=method, painter=fingerprint(painter, method, self.mode))
 
     # ---- what it does

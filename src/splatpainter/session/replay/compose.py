@@ -594,8 +594,8 @@ class ReplayedWork:
     def paint(
         self, mode: Mode, method: Method, options: Mapping[str, Any], spread: SpreadOptions | None
     ) -> tuple[Splats, Asset]:
-        # Painters that look beside the mask get what is below there; the lift does not look.
-        below = None if method == "lift" else self.splats
+        # Painters that look beside the mask get what is below there; the lift does not look, corrected or not.
+        below = None if method in ("lift", "corrected") else self.splats
         edits = [self._replay.edit_of(view, self._layer, below) for view in self.views]
         return self._replay.adapter.apply(self.splats, self._below.painter_state, edits, mode, method, options, spread)
 

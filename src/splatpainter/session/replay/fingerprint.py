@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
+from splatpainter.lift.local import correction
 from splatpainter.nn.precision import resolve
 from splatpainter.painter import Method, Mode, Painter
 
@@ -21,6 +22,8 @@ def fingerprint(painter: Painter, method: Method, mode: Mode) -> str:
     """What of a painter decides the results of a method in a mode, as text: its settings, the hash of the weights that
     it uses there, and bf16 where its networks are rounded to that. method: not "auto"."""
     settings = f"{painter.settings.local_options!r} {painter.settings.global_options!r} {LIFT}"
+    if method == "corrected":
+        return f"{method} {settings} {correction.digest()}"
     if method != "ttt":
         return f"{method} {settings}"
     # The network that reads pictures has no polish and is never rounded.
