@@ -216,6 +216,6 @@ def _assemble(
         parents = np.concatenate([parents, ids[lattice.parent[detail[1]]]])
     if splats.origin is not None and appended.source is not splats.source:
         appended = replace(appended, origin=np.full(len(appended), -1, np.int64))
-    order = np.flatnonzero(changed)[np.argsort(targets[changed])]
+    order = np.flatnonzero(changed)[np.argsort(targets[changed], kind="stable")]
     edit = SparseEdit(targets[order], slots.take(order), np.zeros(0, np.int64), appended, parents)
     return LocalLift(edit.apply(splats), edit.ids, parents)
