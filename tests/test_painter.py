@@ -64,7 +64,7 @@ def hash_without(splats: Splats, skipped: np.ndarray, rows: int) -> str:
 def test_one_call_is_what_a_painter_does_and_goes_on_from_its_asset() -> None:
     splats = object_()
     dabbed = dab(splats, RED)
-    by_painter = apply(splats, [dabbed])
+    by_painter = Painter().apply(Asset(splats), [dabbed])
     once = sp.edit(splats, [(dabbed.image, CAMERA)])
     assert same_bits(once.splats, by_painter.splats) and receipt_of(once).method == "corrected"
     twice = sp.edit(once, [dab(once.splats, BLUE, x=30)], method="lift")

@@ -36,7 +36,7 @@ from splatpainter.image_files import to_uint8
 from splatpainter.lift.colors import colors_towards
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit
-from splatpainter.lift.local.correction import MIN_OPACITY, PaintedGaussians, PaintedPictures
+from splatpainter.lift.local.correction import MIN_OPACITY, LiftedGaussians, PaintedPictures
 from splatpainter.lift.masks import change_mask
 from splatpainter.lift.sheets.resurface import RESURFACING
 from splatpainter.painter import Edit
@@ -94,7 +94,7 @@ class Trial:
 
     kind: str
     name: str
-    painted: PaintedGaussians
+    painted: LiftedGaussians
     counts: np.ndarray
     """[H, W] float32 what each pixel counts in the steps towards the picture."""
     novel: Form
@@ -204,7 +204,7 @@ def _trial(
 ) -> Trial | None:
     if pixels < LEAST_PIXELS:
         return None
-    painted = painted_gaussians(asset, lifted, view)
+    painted = lifted_gaussians(asset, lifted, view)
     if not len(painted.entries):
         return None
     h, g, e = quadratic(lifted.splats, painted.view.gaussian_ids[painted.entries], views)
@@ -215,7 +215,7 @@ def _trial(
     return Trial(kind, name, painted, counts.astype(np.float32), novel, judged)
 
 
-def painted_gaussians(asset: Splats, lifted: LiftedEdit, view: EditView) -> PaintedGaussians:
+def lifted_gaussians(asset: Splats, lifted: LiftedEdit, view: EditView) -> LiftedGaussians:
     """asset: before the edit."""
     splats, camera, count = lifted.splats, view.camera, len(lifted.splats)
     whole, editable, parents = project(splats, camera), np.zeros(count, bool), np.arange(count)
@@ -228,7 +228,7 @@ def painted_gaussians(asset: Splats, lifted: LiftedEdit, view: EditView) -> Pain
     _, sums = seen.mask_sums(view.mask, np.ones(view.mask.shape, bool))
     before = colors_towards(project(asset, camera), asset, parents[ids])
     fresh = (ids >= len(asset)) | np.isin(ids, lifted.replaced)
-    return PaintedGaussians(splats.geometry(ids), seen, entries, sums, seen.colors[entries], before, fresh, pictures)
+    return LiftedGaussians(splats.geometry(ids), seen, entries, sums, seen.colors[entries], before, fresh, pictures)
 
 
 def quadratic(splats: Splats, ids: np.ndarray, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> Form:
@@ -244,7 +244,7 @@ def quadratic(splats: Splats, ids: np.ndarray, views: Sequence[tuple[Camera, np.
     return form.tocsr().astype(np.float32), gradient.astype(np.float32), total
 
 
-def edited_form(painted: PaintedGaussians, counts: np.ndarray) -> Form:
+def edited_form(painted: LiftedGaussians, counts: np.ndarray) -> Form:
     """The same of the edited view, as the steps towards its picture count its pixels. counts: as of Trial."""
     view, pictures = painted.view, painted.pictures
     column = np.full(view.num_gaussians, -1)

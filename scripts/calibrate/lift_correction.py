@@ -56,7 +56,7 @@ from splatpainter.lift.local.correction import (
     MAX_DEVIATIONS,
     MAX_STEPS,
     CorrectionWeights,
-    PaintedGaussians,
+    LiftedGaussians,
     borne,
     first_root,
     halfway,
@@ -109,7 +109,7 @@ class GaussianFacts:
     """[J, COLORS, 3]"""
 
     @staticmethod
-    def of(painted: PaintedGaussians) -> GaussianFacts:
+    def of(painted: LiftedGaussians) -> GaussianFacts:
         """Of an edit."""
         values, colors = painted.facts()
         return GaussianFacts(torch.from_numpy(values), torch.from_numpy(colors))

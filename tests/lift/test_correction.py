@@ -12,7 +12,7 @@ import pytest
 from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.colors import MAX_COLOR, colors_towards
 from splatpainter.lift.local import correction
-from splatpainter.lift.local.correction import COLORS, FACTS, PaintedGaussians, PaintedPictures
+from splatpainter.lift.local.correction import COLORS, FACTS, LiftedGaussians, PaintedPictures
 from splatpainter.painter import Edit, Painter
 from splatpainter.painting.asset import Asset
 from splatpainter.rendering import render
@@ -112,7 +112,7 @@ def test_the_network_is_three_layers_and_a_mixture():
     np.testing.assert_allclose(weights.change(facts, colors), expected, atol=1e-4 * np.abs(expected).max())
 
 
-def painted_sheet(degree: int = 1) -> PaintedGaussians:
+def painted_sheet(degree: int = 1) -> LiftedGaussians:
     """A sheet with a red disk on it, as if the lift had painted half of it."""
     splats, camera = sheet(24, degree=degree), front(64)
     view = project(splats, camera)
@@ -125,7 +125,7 @@ def painted_sheet(degree: int = 1) -> PaintedGaussians:
     colors = 0.5 * view.colors[entries] + np.array([0.4, 0.05, 0.05], np.float32)
     before, fresh = colors_towards(view, splats, ids), np.arange(len(ids)) % 3 == 0
     pictures = PaintedPictures(target, mask, alpha, depth)
-    return PaintedGaussians(splats.geometry(ids), view, entries, sums, colors, before, fresh, pictures)
+    return LiftedGaussians(splats.geometry(ids), view, entries, sums, colors, before, fresh, pictures)
 
 
 def test_facts_are_what_the_view_shows():

@@ -302,12 +302,12 @@ def test_global_edits_of_the_shipped_weights_are_the_predictors_or_stage_twos() 
 def test_local_edits_of_the_shipped_weights_are_the_lifts(preset: str) -> None:
     splats = ball(300)
     view = Edit(draw(regraded(splats), SIDE), SIDE, np.pad(np.ones((16, 16), bool), 40))
-    lift = Painter().apply(Painter().encode(splats), [view], "local", "lift")
     painter = Painter(model=weights.load(preset))
-    for method in ("ttt", "auto"):
+    for method, made in (("ttt", "lift"), ("auto", "corrected")):
+        lift = Painter().apply(Painter().encode(splats), [view], "local", made)
         asset = painter.encode(splats, method, ("local",))
         result = painter.apply(asset, [view], "local", method)
-        assert asset.encoding is None and result.receipt is not None and result.receipt.method == "lift"
+        assert asset.encoding is None and result.receipt is not None and result.receipt.method == made
         assert NOT_LOCAL in result.receipt.note and "\n" not in result.receipt.note
         for name in ("means", "quats", "scales", "opacities", "sh"):
             np.testing.assert_array_equal(getattr(result.splats, name), getattr(lift.splats, name))

@@ -85,7 +85,7 @@ class PaintedPictures:
 
 
 @dataclass(frozen=True)
-class PaintedGaussians:
+class LiftedGaussians:
     """The J Gaussians of an edit in its view, as the lift left them."""
 
     splats: Splats

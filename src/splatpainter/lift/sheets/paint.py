@@ -14,7 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.kernels.rows import take, taken
 from splatpainter.lift.colors import MIN_CHANGE, colors_towards
 from splatpainter.lift.local import correction
-from splatpainter.lift.local.correction import PaintedGaussians, PaintedPictures
+from splatpainter.lift.local.correction import LiftedGaussians, PaintedPictures
 from splatpainter.lift.local.local_edit import (
     NOTHING_THERE,
     NothingPaintableError,
@@ -280,7 +280,7 @@ def _corrected(
     movable[entries] = True
     which, parents = number[view.gaussian_ids[entries]], np.concatenate([edit.ids, edit.parents])
     lift = view.colors[entries]
-    colors = PaintedGaussians(
+    colors = LiftedGaussians(
         changed.geometry(which),
         view,
         entries,

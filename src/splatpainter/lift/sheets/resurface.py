@@ -22,7 +22,7 @@ from splatpainter.kernels.parallel import run
 from splatpainter.kernels.rows import take
 from splatpainter.lift.colors import MIN_CHANGE, colors_towards, lift_colors, recolor
 from splatpainter.lift.local import correction
-from splatpainter.lift.local.correction import PaintedGaussians, PaintedPictures
+from splatpainter.lift.local.correction import LiftedGaussians, PaintedPictures
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.masks import box_mean, dilated, paste, window_around
 from splatpainter.lift.nearest import nearest_pixels
@@ -404,7 +404,7 @@ def _recolored(
         numbers = ids[editable]
         parents = np.concatenate([np.arange(count), pieces.parent_ids, laid.parent_ids])[numbers]
         old = np.concatenate([np.ones(count, bool), pieces.slot, np.zeros(len(laid.parent_ids), bool)])
-        gaussians = PaintedGaussians(
+        gaussians = LiftedGaussians(
             _geometry(splats, fresh, numbers),
             view,
             editable,
