@@ -36,7 +36,7 @@ from splatpainter.image_files import to_uint8
 from splatpainter.lift.colors import colors_towards
 from splatpainter.lift.edit_views import EditView, edit_views
 from splatpainter.lift.edits import LiftedEdit
-from splatpainter.lift.local.correction import MIN_OPACITY, LiftedGaussians, PaintedPictures
+from splatpainter.lift.local.correction import MIN_OPACITY, LiftedGaussians, PaintedPictures, facing
 from splatpainter.lift.masks import change_mask
 from splatpainter.lift.sheets.resurface import RESURFACING
 from splatpainter.painter import Edit
@@ -228,7 +228,8 @@ def lifted_gaussians(asset: Splats, lifted: LiftedEdit, view: EditView) -> Lifte
     _, sums = seen.mask_sums(view.mask, np.ones(view.mask.shape, bool))
     before = colors_towards(project(asset, camera), asset, parents[ids])
     fresh = (ids >= len(asset)) | np.isin(ids, lifted.replaced)
-    return LiftedGaussians(splats.geometry(ids), seen, entries, sums, seen.colors[entries], before, fresh, pictures)
+    towards = facing(splats, ids, camera)
+    return LiftedGaussians(seen, entries, towards, sums, seen.colors[entries], before, fresh, pictures)
 
 
 def quadratic(splats: Splats, ids: np.ndarray, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> Form:

@@ -125,7 +125,7 @@ def painted_sheet(degree: int = 1) -> LiftedGaussians:
     colors = 0.5 * view.colors[entries] + np.array([0.4, 0.05, 0.05], np.float32)
     before, fresh = colors_towards(view, splats, ids), np.arange(len(ids)) % 3 == 0
     pictures = PaintedPictures(target, mask, alpha, depth)
-    return LiftedGaussians(splats.geometry(ids), view, entries, sums, colors, before, fresh, pictures)
+    return LiftedGaussians(view, entries, correction.facing(splats, ids, camera), sums, colors, before, fresh, pictures)
 
 
 def test_facts_are_what_the_view_shows():
@@ -139,9 +139,9 @@ def test_facts_are_what_the_view_shows():
         a, b, c = view.conics[entry].astype(np.float64)
         lengths = 1 / np.sqrt(np.linalg.eigvalsh([[a, b], [b, c]]))
         np.testing.assert_allclose(values[j, :2], np.log(lengths) / 4, atol=1e-4)
-        axes = quat_to_matrix(painted.splats.quats[j : j + 1])[0]
-        towards = camera.position - painted.splats.means[j]
-        cosine = abs(axes[:, painted.splats.scales[j].argmin()] @ towards) / np.linalg.norm(towards)
+        k, splats = view.gaussian_ids[entry], sheet(24, degree=1)
+        axes, towards = quat_to_matrix(splats.quats[k : k + 1])[0], camera.position - splats.means[k]
+        cosine = abs(axes[:, splats.scales[k].argmin()] @ towards) / np.linalg.norm(towards)
         assert values[j, 2] == pytest.approx(cosine, abs=1e-5)
         z, pixel = view.depths[entry], view.depths[entry] / camera.fy
         assert values[j, 3] == pytest.approx(np.clip((z - pictures.depth[v, u]) / pixel / 8, -1, 1), abs=1e-4)

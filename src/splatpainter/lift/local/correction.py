@@ -18,11 +18,14 @@ from collections.abc import Mapping
 from dataclasses import field
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
+from splatpainter.cameras import Camera
 from splatpainter.kernels import portable
+from splatpainter.kernels.rows import by_blocks
 from splatpainter.lift.colors import MAX_COLOR
 from splatpainter.lift.local.evidence import footprints
 from splatpainter.lift.masks import box_mean, contrast, dilated
@@ -63,6 +66,8 @@ FACTS = 20
 """Numbers that the network is told of a Gaussian."""
 COLORS = 5
 """Colours at hand."""
+GAUSSIANS_PER_CHUNK = 1 << 12
+"""Gaussians that pass through the network at once: few enough for the caches."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +93,12 @@ class PaintedPictures:
 class LiftedGaussians:
     """The J Gaussians of an edit in its view, as the lift left them."""
 
-    splats: Splats
-    """The J."""
     view: ProjectedView
     """Of them and of what is around them, at least all tiles that they touch."""
     entries: Ids = field(repr=False)
     """[J] int64 ascending entries of the view."""
+    facing: Floats = field(repr=False)
+    """[J] of `facing`."""
     sums: MaskSums = field(repr=False)
     """How much of each entry of the view its pixels show."""
     colors: Floats = field(repr=False)
@@ -106,8 +111,7 @@ class LiftedGaussians:
 
     def corrected(self, weights: CorrectionWeights, steps: CachedWeights | UncachedWeights) -> Floats:
         """[J, 3] float32 their colours towards the view. steps: of the J, towards the picture."""
-        facts, colors = self.facts()
-        change = weights.change(facts, colors)
+        change = weights.change(*self.facts())
         change[self.view.opacities[self.entries] <= MIN_OPACITY] = 0
         return _held(self.colors, self.colors + change, steps, self.hold())
 
@@ -133,7 +137,6 @@ class LiftedGaussians:
         outside = ((means2d < 0) | (means2d >= (width, height))).any(1)
         x = np.clip(means2d[:, 0], 0, width - 1).astype(np.int64)
         y = np.clip(means2d[:, 1], 0, height - 1).astype(np.int64)
-        facing = self._facing()
         widths = _ellipse_widths(view.conics[at])
         solid = alpha > SOLID_ALPHA
         pixel = np.maximum(depths, 1e-6) / view.camera.fy  # its width there
@@ -141,7 +144,7 @@ class LiftedGaussians:
 
         # The picture around that place, in a window of it.
         rows, columns = _window(view.tiles)
-        part = target[rows, columns].astype(np.float32)
+        part = np.ascontiguousarray(target[rows, columns], np.float32)
         surface, paint = solid[rows, columns], self.pictures.mask[rows, columns]
         v, u = y - rows.start, x - columns.start
         over_it, mask = part[v, u], paint.astype(np.float32)
@@ -153,26 +156,24 @@ class LiftedGaussians:
         detail = box_mean(contrast(part), AROUND_PX[1])[v, u]
         slope = box_mean(_steps(depth[rows, columns], surface), AROUND_PX[1])[v, u] / pixel
 
-        log = portable.log
-        values = (
-            *(log(np.clip(w, 1e-2, 1e3)) / 4 for w in widths),
-            *(facing, behind, 2 * opacities - 1, log(peak + np.float32(1e-3)) / 5),
-            *(np.minimum(visible / np.maximum(footprint, 1e-6), 1), visible / np.maximum(alpha_sum, 1e-6)),
-            *(log(visible + np.float32(VISIBLE_MARGIN)) / 5, mask[v, u], *near, alpha[y, x]),
-            *(surface_share, log(1 + slope) / 4, 4 * detail, self.fresh, outside),
-            *(row_max(np.abs(self.colors - self.before)), row_max(np.abs(self.colors - over_it))),
-        )
-        facts = np.stack([np.asarray(column, np.float32) for column in values], 1)
-        colors = np.stack([over_it, close, wide, of_paint, self.before], 1) - self.colors[:, None]
-        return facts, colors.astype(np.float32)
+        # In double precision one by one, not all at once: here an edit needs the most memory.
+        log, numbers = portable.log, iter(range(FACTS))
+        facts = np.empty((len(at), FACTS), np.float32)
 
-    def _facing(self) -> Floats:
-        """[J] cosine between their shortest axis and the line of sight, 0..1."""
-        axes = quat_to_matrix(self.splats.quats)
-        normals = axes[np.arange(len(axes)), :, self.splats.scales.argmin(1)]
-        towards = self.view.camera.position - self.splats.means.astype(np.float64)
-        cosine = (normals * towards).sum(1) / np.maximum(row_norm(towards), 1e-12)
-        return np.abs(cosine)
+        def put(*columns: Any) -> None:
+            for column in columns:
+                facts[:, next(numbers)] = column
+
+        put(*(log(np.clip(w, 1e-2, 1e3)) / 4 for w in widths))
+        put(self.facing, behind, 2 * opacities - 1, log(peak + np.float32(1e-3)) / 5)
+        put(np.minimum(visible / np.maximum(footprint, 1e-6), 1), visible / np.maximum(alpha_sum, 1e-6))
+        put(log(visible + np.float32(VISIBLE_MARGIN)) / 5, mask[v, u], *near, alpha[y, x])
+        put(surface_share, log(1 + slope) / 4, 4 * detail, self.fresh, outside)
+        put(row_max(np.abs(self.colors - self.before)), row_max(np.abs(self.colors - over_it)))
+        colors = np.empty((len(at), COLORS, 3), np.float32)
+        for k, at_hand in enumerate((over_it, close, wide, of_paint, self.before)):
+            colors[:, k] = at_hand - self.colors
+        return facts, colors
 
 
 @dataclass(frozen=True)
@@ -189,22 +190,46 @@ class CorrectionWeights:
 
     def change(self, facts: Floats, colors: Floats) -> Floats:
         """[J, 3] float32. facts: [J, FACTS] float32; colors: [J, COLORS, 3] float32 differences."""
-        mean, deviation = self.tensors["scaling"]
-        scaled = np.clip((facts - mean) / deviation, -MAX_DEVIATIONS, MAX_DEVIATIONS)
         # What kind of asset and edit this is, all Gaussians hear.
-        ones = np.ones((len(scaled), 1))
-        everyone = (portable.transposed_product(scaled, ones)[:, 0] / max(len(scaled), 1)).astype(np.float32)
-        x = portable.silu(self._linear("first", scaled) + self._linear("company", everyone[None]))
-        for layer in ("second", "third"):
-            x = portable.silu(self._linear(layer, x))
-        shares = self._linear("shares", x)
-        out = shares[:, :1] * colors[:, 0]
-        for k in range(1, COLORS):
-            out += shares[:, k : k + 1] * colors[:, k]
+        chunks = [slice(at, at + GAUSSIANS_PER_CHUNK) for at in range(0, len(facts), GAUSSIANS_PER_CHUNK)]
+        total = np.zeros(facts.shape[1])
+        for part in chunks:
+            scaled = self._scaled(facts[part])
+            total += portable.transposed_product(scaled, np.ones((len(scaled), 1)))[:, 0]
+        heard = self._linear("company", (total / max(len(facts), 1)).astype(np.float32)[None])
+        out = np.empty((len(facts), 3), np.float32)
+        for part in chunks:
+            x = portable.silu(self._linear("first", self._scaled(facts[part])) + heard)
+            for layer in ("second", "third"):
+                x = portable.silu(self._linear(layer, x))
+            shares = self._linear("shares", x)
+            mixed = shares[:, :1] * colors[part, 0]
+            for k in range(1, COLORS):
+                mixed += shares[:, k : k + 1] * colors[part, k]
+            out[part] = mixed
         return out
+
+    def _scaled(self, facts: Floats) -> Floats:
+        mean, deviation = self.tensors["scaling"]
+        return np.clip((facts - mean) / deviation, -MAX_DEVIATIONS, MAX_DEVIATIONS)
 
     def _linear(self, name: str, x: np.ndarray) -> np.ndarray:
         return portable.matmul(x, self.tensors[f"{name}.weight"].T) + self.tensors[f"{name}.bias"]
+
+
+def facing(splats: Splats, ids: Ids, camera: Camera) -> Floats:
+    """[J] float32 cosine between the shortest axis of some Gaussians and the line of sight, 0..1."""
+    out = np.empty(len(ids), np.float32)
+
+    def fill(block: slice) -> None:
+        some = ids[block]
+        axes = quat_to_matrix(splats.quats[some])
+        normals = axes[np.arange(len(some)), :, splats.scales[some].argmin(1)]
+        towards = camera.position - splats.means[some].astype(np.float64)
+        out[block] = np.abs((normals * towards).sum(1) / np.maximum(row_norm(towards), 1e-12))
+
+    by_blocks(fill, len(ids))
+    return out
 
 
 @cache
@@ -300,6 +325,8 @@ def _steps(depth: Floats, solid: Bools) -> Floats:
 def _mean_around(picture: Floats, where: Bools, y: Ids, x: Ids, radius: int) -> tuple[Floats, Floats]:
     """([J, 3] mean of the pixels `where` within `radius` of places, 0 without any, [J] their share)."""
     counted = where.astype(np.float32)
-    share = box_mean(counted, radius)[y, x]
-    sums = box_mean(picture * counted[..., None], radius)[y, x]
-    return sums / np.maximum(share, np.float32(1e-6))[:, None], share
+    share, out = box_mean(counted, radius)[y, x], np.empty((len(y), 3), np.float32)
+    # Channel after channel: three pictures at once are three times the memory.
+    for channel in range(3):
+        out[:, channel] = box_mean(picture[..., channel] * counted, radius)[y, x]
+    return out / np.maximum(share, np.float32(1e-6))[:, None], share

@@ -281,9 +281,9 @@ def _corrected(
     which, parents = number[view.gaussian_ids[entries]], np.concatenate([edit.ids, edit.parents])
     lift = view.colors[entries]
     colors = LiftedGaussians(
-        changed.geometry(which),
         view,
         entries,
+        correction.facing(changed, which, view.camera),
         view.mask_sums(mask, np.ones(mask.shape, bool))[1],
         lift,
         colors_towards(around, splats, parents[which]),

@@ -404,10 +404,13 @@ def _recolored(
         numbers = ids[editable]
         parents = np.concatenate([np.arange(count), pieces.parent_ids, laid.parent_ids])[numbers]
         old = np.concatenate([np.ones(count, bool), pieces.slot, np.zeros(len(laid.parent_ids), bool)])
+        facing, there = np.empty(len(numbers), np.float32), numbers < count
+        for splats_there, at, begin in ((splats, there, 0), (fresh, ~there, count)):
+            facing[at] = correction.facing(splats_there, numbers[at] - begin, view.camera)
         gaussians = LiftedGaussians(
-            _geometry(splats, fresh, numbers),
             view,
             editable,
+            facing,
             everywhere,
             lifted.take(editable, 0),
             colors_towards(around, splats, parents),
@@ -415,6 +418,8 @@ def _recolored(
             pictures,
         )
         lifted[editable] = gaussians.corrected(correction.weights(), steps)
+        del gaussians
+    del everywhere, steps  # what is read no more goes: here an edit needs the most memory
     before, lifted, ids = view.unclamped_of(editable), lifted.take(editable, 0), ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     sh = fresh.sh
@@ -427,13 +432,6 @@ def _recolored(
     hanging = moved & (ids < count)
     recolored = recolor(splats.sh.take(ids[hanging], 0), before[hanging], lifted[hanging], options.damping)
     return _Recolored(ids[hanging], recolored)
-
-
-def _geometry(splats: Splats, fresh: Splats, ids: Ids) -> Splats:
-    """Where some of N `splats` and of what comes after them lie, without colours."""
-    old = ids < len(splats)
-    order = np.argsort(np.concatenate([np.flatnonzero(old), np.flatnonzero(~old)]), kind="stable")
-    return splats.geometry(ids[old]).append(fresh.geometry(ids[~old] - len(splats))).take(order)
 
 
 def _assemble(splats: Splats, laid: LaidSheet, painted: _Recolored, first_appended: int) -> Resurfaced:
