@@ -22,7 +22,7 @@ from splatpainter.models.encode import Encoded, encode_asset
 from splatpainter.models.model import GaussianInputs, SplatPainterModel
 from splatpainter.models.predictor import spread_evenly
 from splatpainter.models.refine import position_waves, unit_rms
-from splatpainter.painter import NOT_LOCAL, Edit, Painter
+from splatpainter.painter import NOT_LOCAL, Edit, Method, Painter
 from splatpainter.splats import Splats
 from tests.lift.test_global import FRONT, MIX, SHIFT, SIDE, ball, draw, regraded
 from tests.support.model_scenes import with_refine
@@ -303,7 +303,8 @@ def test_local_edits_of_the_shipped_weights_are_the_lifts(preset: str) -> None:
     splats = ball(300)
     view = Edit(draw(regraded(splats), SIDE), SIDE, np.pad(np.ones((16, 16), bool), 40))
     painter = Painter(model=weights.load(preset))
-    for method, made in (("ttt", "lift"), ("auto", "corrected")):
+    methods: list[tuple[Method, Method]] = [("ttt", "lift"), ("auto", "corrected")]
+    for method, made in methods:
         lift = Painter().apply(Painter().encode(splats), [view], "local", made)
         asset = painter.encode(splats, method, ("local",))
         result = painter.apply(asset, [view], "local", method)
