@@ -218,9 +218,9 @@ def _trial(
 def lifted_gaussians(asset: Splats, lifted: LiftedEdit, view: EditView) -> LiftedGaussians:
     """asset: before the edit."""
     splats, camera, count = lifted.splats, view.camera, len(lifted.splats)
-    whole, editable, parents = project(splats, camera), np.zeros(count, bool), np.arange(count)
+    full, editable, parents = project(splats, camera), np.zeros(count, bool), np.arange(count)
     editable[lifted.ids], parents[lifted.ids] = splats.opacities[lifted.ids] > MIN_OPACITY, lifted.parents
-    seen = whole.part(tiles=whole.tiles_of(editable))
+    seen = full.part(tiles=full.tiles_of(editable))
     entries = np.flatnonzero(editable[seen.gaussian_ids])
     ids = seen.gaussian_ids[entries]
     assert view.alpha is not None and view.depth is not None

@@ -192,17 +192,17 @@ class Steps:
                 share = halfway(first_root(left - excess - slope, slope, excess))
                 return change + np.float32(share) * (following - change), number + 1, share, 1.0
             change, excess = following, left
-        whole = borne(excess, -2 * float((gradient * change).sum()))
-        return np.float32(whole) * change, MAX_STEPS, 1.0, whole
+        scale = borne(excess, -2 * float((gradient * change).sum()))
+        return np.float32(scale) * change, MAX_STEPS, 1.0, scale
 
     def error(self, change: np.ndarray) -> float:
         """Squared error of the edited view after a change."""
         form, gradient, total = self.edited
         return float(total - 2 * (gradient * change).sum() + (change * (form @ change)).sum())
 
-    def back(self, gradient: np.ndarray, count: int, share: float, whole: float) -> np.ndarray:
+    def back(self, gradient: np.ndarray, count: int, share: float, scale: float) -> np.ndarray:
         """The gradient of `first` from that of what comes after; both shares are taken as given."""
-        gradient = whole * gradient
+        gradient = scale * gradient
         if not count:
             return gradient
         return share * self._back(gradient, count) + (1 - share) * self._back(gradient, count - 1)
@@ -306,10 +306,10 @@ def train(network: Correction, trials: Sequence[Trial], seconds: float) -> None:
 
 def _gradient(trial: Trial, steps: Steps, first: np.ndarray) -> np.ndarray:
     """[J, 3] of the loss by the correction before the steps."""
-    after, count, share, whole = steps.after(first)
+    after, count, share, scale = steps.after(first)
     floor = 3 * float(trial.painted.pictures.mask.sum()) * LEAST_ERROR
     novel, edited = (trial.novel, LEAST_ERROR), (steps.edited, floor)
-    total = steps.back(_rise(*novel, after) + EASY_WEIGHT * _rise(*edited, after), count, share, whole)
+    total = steps.back(_rise(*novel, after) + EASY_WEIGHT * _rise(*edited, after), count, share, scale)
     return (total + BEFORE * (_rise(*novel, first) + EDITED_ALONE * _rise(*edited, first))).astype(np.float32)
 
 

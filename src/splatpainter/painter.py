@@ -222,8 +222,8 @@ class Painter:
                 why = f"weights of preset '{self.preset}' ({measured})"
                 return ("ttt", f"{why}: {networks}") if gain > 0 else ("lift", f"{why}: the analytic lift")
             return "lift", self.why or "no trained weights: the analytic lift"
-        if method not in ("ttt", "corrected", "lift", "fit"):
-            raise ValueError(f"method: expected auto, ttt, corrected, lift or fit, got {method!r}")
+        if method not in (methods := get_args(Method)):
+            raise ValueError(f"method: expected {', '.join(methods[:-1])} or {methods[-1]}, got {method!r}")
         if method == "ttt" and mode == "global" and not self.encodes(method, mode):
             return method, f"preset '{self.preset}' makes global edits by its predictor; preset 'rows' adapts to them"
         return method, ""

@@ -13,6 +13,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.lift.colors import MAX_COLOR, colors_towards
 from splatpainter.lift.local import correction
 from splatpainter.lift.local.correction import COLORS, FACTS, LiftedGaussians, PaintedPictures
+from splatpainter.lift.options import LocalOptions
 from splatpainter.painter import Edit, Painter
 from splatpainter.painting.asset import Asset
 from splatpainter.rendering import render
@@ -233,3 +234,78 @@ def test_only_one_view_of_a_part_is_corrected():
         assert corrected.receipt is not None and corrected.receipt.method == made
         assert np.array_equal(corrected.splats.sh, lifted.splats.sh) == (made == "lift")
         assert np.array_equal(corrected.splats.means, lifted.splats.means)
+
+
+def dense_hold(pixels: Pixels, lift: np.ndarray, corrected: np.ndarray, hold: np.ndarray) -> tuple[np.ndarray, int]:
+    """(what `_held` is to answer, in double precision by errors themselves and bisection; its steps)."""
+    w = pixels.w.astype(np.float64)
+    lift, first, hold = (values.astype(np.float64) for values in (lift, corrected, hold[:, None]))
+    shared, limit = (w.T @ w.sum(1))[:, None], pixels.error(lift)
+    colors = first = np.clip(first, 0, np.maximum(lift, MAX_COLOR))
+    for number in range(correction.MAX_STEPS):
+        if pixels.error(colors) <= limit:
+            return colors, number
+        pull = hold * 0.3**number
+        gain = w.T @ (pixels.target - w @ colors)
+        following = np.clip(colors + (gain - pull * (colors - first)) / (shared + pull), 0, np.maximum(lift, MAX_COLOR))
+        if pixels.error(following) <= limit:
+            low, high = 0.0, 1.0
+            for _ in range(60):
+                middle = (low + high) / 2
+                near = pixels.error(colors + middle * (following - colors)) <= limit
+                low, high = (low, middle) if near else (middle, high)
+            return colors + (1 + high) / 2 * (following - colors), number + 1
+        colors = following
+    raise AssertionError("not held")
+
+
+def test_steps_end_halfway_beyond_where_the_picture_is_as_near_again(pixels: Pixels):
+    rng, steps = np.random.default_rng(8), set()
+    for hold, far in ((0.0, 0.1), (0.5, 0.1), (3.0, 0.1), (3.0, 0.3), (10.0, 0.2)):
+        lift = np.full((6, 3), 0.45, np.float32)
+        for _ in range(2):
+            lift = (lift + 0.5 * pixels.residual(lift) / pixels.weight[:, None]).astype(np.float32)
+        worse, holds = (lift + rng.normal(0, far, lift.shape)).astype(np.float32), np.full(6, hold, np.float32)
+        expected, number = dense_hold(pixels, lift, worse, holds)
+        held = correction._held(lift, worse, pixels, holds)  # pyright: ignore[reportArgumentType]
+        np.testing.assert_allclose(held, expected, atol=2e-4)
+        steps.add(number)
+    assert {1, 2, 4} <= steps
+
+
+def test_pixels_beyond_the_rim_of_the_paint_count_less():
+    mask = np.zeros((20, 30), bool)
+    mask[9:11, 12:15] = True
+    nothing = np.zeros(mask.shape, np.float32)
+    weights = PaintedPictures(np.zeros((*mask.shape, 3)), mask, nothing, nothing).weights
+    y, x = np.mgrid[:20, :30]
+    beside = np.maximum(np.maximum(9 - y, y - 10), np.maximum(12 - x, x - 14))
+    np.testing.assert_allclose(weights, np.where(beside <= 3, 1, 0.1))
+
+
+@pytest.mark.parametrize("fine_px", [0.0, 1e3], ids=["sheet", "split"])
+def test_each_gaussian_takes_its_own_correction(fine_px: float, monkeypatch: pytest.MonkeyPatch):
+    """A correction by the place in the view is found there again; what each is told of before is what was there."""
+    asset, camera, seen = sheet(24), front(64), []
+    image = np.asarray(render(asset, camera).colors[0])
+
+    def by_place(self: LiftedGaussians, *_: object) -> np.ndarray:
+        at = self.view.means2d[self.entries]
+        v, u = np.clip(at[:, ::-1], 0, 63).astype(int).T
+        seen.append(np.abs(self.before - image[v, u]).max(1))
+        return np.stack([at[:, 0] / 64, at[:, 1] / 64, np.full(len(at), 0.5)], 1).astype(np.float32)
+
+    monkeypatch.setattr(LiftedGaussians, "corrected", by_place)
+    picture = image.copy()
+    picture[disk(camera, 32, 32, 11)] = 0.9, 0.1, 0.1
+    painter = Painter().with_settings(local_options=LocalOptions(fine_px=fine_px))
+    edited = painter.apply(Asset(asset), [Edit(picture, camera)])
+    assert edited.receipt is not None and edited.receipt.method == "corrected"
+    view = project(edited.splats, camera)
+    changed = np.zeros(len(edited.splats), bool)
+    changed[edited.receipt.touched], changed[len(asset) :] = True, True
+    there = np.flatnonzero(changed[view.gaussian_ids] & (view.opacities > 0.1))
+    errors = np.abs(view.colors[there, :2] - view.means2d[there] / 64).max(1)
+    assert len(there) > 50
+    assert np.quantile(errors, 0.9) < 0.02
+    assert np.median(seen[0]) < 0.06

@@ -14,6 +14,8 @@ Mode = Literal["local", "global", "spread"]
 Method = Literal["auto", "ttt", "corrected", "lift", "fit"]
 LayerMethod = Literal["auto", "ttt", "corrected", "lift", "fit", "predictor"]
 """What is asked of a layer, or, once it was made, what made it, as receipts have it."""
+LIFTS: tuple[Method, ...] = ("lift", "corrected")
+"""Of local edits: those that look at nothing beside the mask, nor at Gaussians beyond its tiles."""
 MAX_VIEWS = 16
 """Most edited pictures of one edit."""
 MAX_PIXEL_VALUE = 16.0

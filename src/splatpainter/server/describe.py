@@ -6,7 +6,7 @@ import math
 import operator
 from collections.abc import Sequence
 from itertools import takewhile
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -287,7 +287,7 @@ def _same(before: Sequence[object], now: Sequence[object]) -> bool:
 def methods(session: Session) -> list[protocol.Method]:
     """Those that this session's painter has; "ttt" where it is more than what "auto" may choose anyway."""
     network = any(session.painter.encodes("ttt", mode) for mode in ("local", "global"))
-    return ["auto", "ttt", "corrected", "lift", "fit"] if network else ["auto", "corrected", "lift", "fit"]
+    return [method for method in get_args(protocol.Method) if network or method != "ttt"]
 
 
 def endings() -> list[str]:

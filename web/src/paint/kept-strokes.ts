@@ -4,7 +4,7 @@
  */
 
 import type { PaintBegin, PaintLimits, Symmetry } from "../messages";
-import type { LeftProject } from "../state/store";
+import type { LeftProject, Method } from "../state/store";
 import type { CameraJson } from "../view/camera";
 import type { Rect } from "./raster";
 import type { StrokeTarget } from "./stroke";
@@ -23,7 +23,7 @@ export interface KeptStroke {
   layer: string | null;
   name: string;
   target: StrokeTarget;
-  method: "auto" | "ttt" | "corrected" | "lift" | "fit";
+  method: Method;
   limits: PaintLimits;
   mirror: Symmetry | null;
   /** As `Stroke.committing`. */

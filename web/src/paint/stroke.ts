@@ -4,6 +4,7 @@
  */
 
 import type { LayerInfo, PaintEnd, PaintLimits, Symmetry } from "../messages";
+import type { Method } from "../state/store";
 import { CommandError, type Link } from "../net/connection";
 import type { CameraJson } from "../view/camera";
 import type { Pixels } from "./flood";
@@ -35,7 +36,7 @@ export interface StrokeOptions {
   target: () => StrokeTarget;
   /** Send the commit; `committing` is set. */
   commit: (fields: PaintEnd) => Promise<LayerInfo>;
-  method: "auto" | "ttt" | "corrected" | "lift" | "fit";
+  method: Method;
   limits: PaintLimits;
   opacity: number;
   /** Where it is mirrored; null: nowhere. */

@@ -7,7 +7,7 @@ import { blobUrl, sendBlob } from "../net/blobs";
 import { CommandError } from "../net/connection";
 import { limitsToSend } from "../paint/limits";
 import { type CameraJson } from "../view/camera";
-import { camera, limits, selectedLayer, state, tab, toast } from "./store";
+import { camera, limits, type Method, selectedLayer, state, tab, toast } from "./store";
 import { editor, report, run } from "../editor/editor";
 
 export const MAX_IMAGES = 4;
@@ -96,7 +96,7 @@ export function discard(id: number): void {
 export const maskUrl = (image: DroppedImage): string | null => image.checked && blobUrl(image.checked.mask);
 
 /** One layer from all pictures that have a camera. */
-export async function applyImages(method: "auto" | "ttt" | "corrected" | "lift" | "fit"): Promise<void> {
+export async function applyImages(method: Method): Promise<void> {
   const ready = droppedImages.value.filter((one) => one.checked);
   const mode = editMode.value;
   const views = ready.map((one) => ({

@@ -31,7 +31,8 @@ export function setColor(next: string): void {
   recentColors.value = [next, ...recentColors.value.filter((one) => one !== next)].slice(0, MAX_RECENT_COLORS);
 }
 export const paintMode = signal<PaintMode>("normal");
-export const method = signal<"auto" | "ttt" | "corrected" | "lift" | "fit">("auto");
+export type Method = State["methods"][number];
+export const method = signal<Method>("auto");
 /** What one view may paint, and whether the view shows what it may not. */
 export const limits = signal({ angle: 85, depthEdge: 0, show: false });
 /** Whether strokes go on over the painted material, how sure it must be, and whether the view shows how sure it is. */

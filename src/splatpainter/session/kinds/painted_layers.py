@@ -11,6 +11,7 @@ import numpy as np
 from splatpainter.lift.masked_gaussians import reached_gaussians
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.painter import Method, Mode, Painter
+from splatpainter.painting.edited_picture import LIFTS
 from splatpainter.session.document.layer_operation import LayerOperation, LayerWork
 from splatpainter.session.document.layer_view import View, is_hash
 from splatpainter.session.replay.delta import between
@@ -127,7 +128,7 @@ class PaintedLayer(LayerOperation):
 
     @property
     def reads_locally(self) -> bool:
-        return self.is_local_paint and self.method in ("lift", "corrected")
+        return self.is_local_paint and self.method in LIFTS
 
     @property
     def certain_confidence(self) -> int:

@@ -29,6 +29,7 @@ from splatpainter.lift.options import LOCAL_DEFAULTS
 from splatpainter.lift.sheets.view_limits import coarse_surface, left_out
 from splatpainter.lights.unlit import unlit_after
 from splatpainter.painter import Asset, Edit, Method, Mode, Painter
+from splatpainter.painting.edited_picture import LIFTS
 from splatpainter.session.document.document import Document, Layer, digest
 from splatpainter.session.document.layer_factory import decode_cover, decode_mask, decode_picture, is_cut_out
 from splatpainter.session.document.layer_view import View
@@ -595,7 +596,7 @@ class ReplayedWork:
         self, mode: Mode, method: Method, options: Mapping[str, Any], spread: SpreadOptions | None
     ) -> tuple[Splats, Asset]:
         # Painters that look beside the mask get what is below there; the lift does not look, corrected or not.
-        below = None if method in ("lift", "corrected") else self.splats
+        below = None if method in LIFTS else self.splats
         edits = [self._replay.edit_of(view, self._layer, below) for view in self.views]
         return self._replay.adapter.apply(self.splats, self._below.painter_state, edits, mode, method, options, spread)
 
