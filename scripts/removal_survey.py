@@ -39,7 +39,7 @@ from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.holes.body import body_of
 from splatpainter.lift.masks import dilated
 from splatpainter.rendering.pixel_shares import share_of
-from splatpainter.session.selection.selection import in_mask
+from splatpainter.session.selection.selection import beside_mask, in_mask
 from splatpainter.splats import Splats
 from splattrain.data.environments import load_environment
 from splattrain.data.lights import make_light, shade_all
@@ -137,8 +137,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             folder.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     for scene in _scenes(options.shared / "data", options.cache, options.half, options.only):
-        for kind, number, selected in _selections(scene):
-            row, taken = _judged(scene, kind, selected)
+        for kind, number, selected, beside in _selections(scene):
+            row, taken = _judged(scene, kind, selected, beside)
             rows.append(row)
             print(_line(row), flush=True)
             if options.pictures and not row["right"]:
@@ -255,32 +255,33 @@ def _points(mesh: Mesh, count: int = 60_000) -> np.ndarray:
     return chosen[:, 0] + a[:, None] * (chosen[:, 1] - chosen[:, 0]) + b[:, None] * (chosen[:, 2] - chosen[:, 0])
 
 
-def _selections(scene: Scene) -> Iterator[tuple[str, int, np.ndarray]]:
-    """(kind, number, [N] bool)."""
+def _selections(scene: Scene) -> Iterator[tuple[str, int, np.ndarray, np.ndarray | None]]:
+    """(kind, number, [N] bool, [N] bool what an outline leaves beside it)."""
     splats = scene.splats
     rng = np.random.default_rng([*scene.name.encode(), *scene.form.encode()])
     means = splats.means.astype(np.float64)
     sure = scene.is_thing & scene.is_judged & splats.drawable
     for number in range(2):
-        yield "lasso", number, _lassoed(scene, rng, sure, False)
-    yield "inner", 0, _lassoed(scene, rng, sure, True)
+        yield "lasso", number, *_lassoed(scene, rng, sure, False)
+    yield "inner", 0, *_lassoed(scene, rng, sure, True)
     low, high = means[sure].min(0), means[sure].max(0)
     middle = (low + high) / 2
-    yield "sphere", 0, np.linalg.norm(means - middle, axis=1) < np.linalg.norm(means[sure] - middle, axis=1).max()
+    yield "sphere", 0, np.linalg.norm(means - middle, axis=1) < np.linalg.norm(means[sure] - middle, axis=1).max(), None
     kinds = (("large", 2, (0.15, 0.45), sure), ("spot", 2, (0.02, 0.08), sure))
     for kind, count, shares, of in kinds:
         for number in range(count):
             center = means[rng.choice(np.flatnonzero(of))]
             away = np.linalg.norm(means - center, axis=1)
-            yield kind, number, away < np.quantile(away[of], rng.uniform(*shares))
+            yield kind, number, away < np.quantile(away[of], rng.uniform(*shares)), None
     ground = ~scene.is_thing & scene.is_judged & splats.drawable
     center = means[rng.choice(np.flatnonzero(ground))]
     away = np.linalg.norm(means - center, axis=1)
-    yield "ground", 0, (away < np.quantile(away[ground], rng.uniform(0.02, 0.06))) & ~sure
+    yield "ground", 0, (away < np.quantile(away[ground], rng.uniform(0.02, 0.06))) & ~sure, None
 
 
-def _lassoed(scene: Scene, rng: np.random.Generator, sure: np.ndarray, is_inner: bool) -> np.ndarray:
-    """[N] bool: what of the visible surface lies within an outline, from a view that shows the thing."""
+def _lassoed(scene: Scene, rng: np.random.Generator, sure: np.ndarray, is_inner: bool) -> tuple[np.ndarray, np.ndarray]:
+    """([N] bool: what of the visible surface lies within an outline, from a view that shows the thing; [N] bool: what
+    lies beside it)."""
     splats = scene.splats
     (camera,) = orbit_cameras(
         splats.take(np.flatnonzero(sure)),
@@ -302,12 +303,15 @@ def _lassoed(scene: Scene, rng: np.random.Generator, sure: np.ndarray, is_inner:
         pen.polygon([tuple(corner) for corner in corners.tolist()], fill=255)
     drawn = np.asarray(mask) > 0
     drawn = drawn if is_inner else dilated(drawn, int(rng.integers(2, 9)))
-    return in_mask(splats, camera, drawn.astype(np.float32)) > 0.5
+    mask = drawn.astype(np.float32)
+    return in_mask(splats, camera, mask) > 0.5, beside_mask(splats, camera, mask)
 
 
-def _judged(scene: Scene, kind: str, selected: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
+def _judged(
+    scene: Scene, kind: str, selected: np.ndarray, beside: np.ndarray | None
+) -> tuple[dict[str, Any], np.ndarray]:
     clock = time.process_time()
-    body = body_of(scene.splats, selected)
+    body = body_of(scene.splats, selected, beside)
     cpu = time.process_time() - clock
     taken = selected if body is None else body
     thing, other = scene.is_thing & scene.is_judged, ~scene.is_thing & scene.is_judged

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 
 from splatpainter.cameras import look_at
 from splatpainter.io import read
+from tests.holes.test_body import ground, sphere
 from tests.support.cli_scenes import Capture, ball, listing, rows_of, run, saved
 
 SPHERE = "sphere=0,0,-1,0.45"
@@ -32,6 +34,24 @@ def test_a_part_is_removed_and_filled_and_verify_agrees(asset: Path, tmp_path: P
     assert changed.sum() == receipt["removed_rows"] == receipt["touched_rows"] > 20
     assert receipt["appended_rows"] == len(after) - len(before) > 20 and receipt["mode"] == "fill"
     assert run(capfd, "verify", asset, out).code == 0
+
+
+def test_a_mask_around_a_thing_leaves_the_neighbour_that_touches_it(tmp_path: Path, capfd: Capture) -> None:
+    one = sphere(0.5, (0.7, 0.7, 0.7))
+    other = replace(one, means=one.means + np.array([1, 0, 0], np.float32))
+    pair = saved(tmp_path / "pair.ply", ground((0.35, 0.2, 0.1)).append(one).append(other))
+    camera = look_at((0, 1.5, 6), (0, 0.5, 0), (0, 1, 0), width=192, height=192, fov=30)
+    (tmp_path / "cam.json").write_text(camera.to_json())
+    splats = read(pair)
+    of_one = np.arange(len(splats) - 2 * len(one), len(splats) - len(one))
+    (x, y), radius = camera.project(np.array([[0, 0.5, 0]]))[0][0], 0.53 * camera.fx / 6.1
+    rows, columns = np.mgrid[:192, :192] + 0.5
+    Image.fromarray((np.hypot(columns - x, rows - y) < radius).astype(np.uint8) * 255).save(tmp_path / "around.png")
+    words = ["--where", f"mask={tmp_path / 'around.png'}@{tmp_path / 'cam.json'}", "--out", tmp_path / "alone.ply"]
+    done = run(capfd, "fill", pair, *words)
+    assert done.code == 0, done
+    gone = read(tmp_path / "alone.ply").opacities[: len(splats)] < 1e-3
+    assert gone[of_one].mean() > 0.95 and gone[of_one[-1] + 1 :].mean() < 0.03 and gone[: of_one[0]].mean() < 0.01
 
 
 def test_a_hole_is_circled_and_a_source_colours_it(asset: Path, tmp_path: Path, capfd: Capture) -> None:

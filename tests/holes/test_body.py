@@ -102,6 +102,34 @@ def moved(splats: Splats, by: tuple[float, float, float]) -> Splats:
     return replace(splats, means=splats.means + np.array(by, np.float32))
 
 
+@pytest.mark.parametrize("gap", [0.96, 1.0, 1.04])
+def test_a_neighbour_of_the_same_colour_stays_where_the_outline_leaves_it_out(gap: float) -> None:
+    """Two balls side by side, which run into each other, touch or nearly do; a lasso around the first."""
+    floor, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
+    splats = floor.append(ball).append(moved(ball, (gap, 0, 0)))
+    x, y, _ = splats.means.T
+    of = np.repeat([0, 1, 2], [len(floor), len(ball), len(ball)])
+    beside = (np.abs(x) > 0.52) | (y > 1.05)
+    selected = seen_from_front(splats, 0.0) & ~beside
+    body = body_of(splats, selected, beside)
+    assert body is not None and body[of == 1].mean() > 0.97
+    assert body[of == 2].mean() < 0.03 and body[of == 0].mean() < 0.005
+    without = body_of(splats, selected)
+    assert without is None or without[of == 2].all(), "what is selected alone does not tell them apart"
+
+
+def test_an_outline_within_a_thing_still_means_all_of_it() -> None:
+    """Half of what is seen of a ball: no body of its own lies within that, so the ball goes as it did."""
+    floor, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
+    splats = floor.append(ball)
+    x, y, _ = splats.means.T
+    beside = np.hypot(x, y - 0.5) > 0.42
+    selected = seen_from_front(splats, 0.0) & ~beside
+    body, before = body_of(splats, selected, beside), body_of(splats, selected)
+    assert body is not None and before is not None and np.array_equal(body, before)
+    assert (body & beside).sum() > 0.05 * body.sum() and body[len(floor) :].all()
+
+
 def test_what_only_the_shell_of_a_body_holds_goes_with_it() -> None:
     """A ball in a ball of another colour, half as many Gaussians: it touches the shell above, not the ground."""
     floor, outer = ground((0.3, 0.5, 0.3)), sphere(0.5, (0.8, 0.2, 0.2))

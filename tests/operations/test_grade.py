@@ -213,6 +213,11 @@ def test_a_mask_drawn_on_a_view_reaches_what_it_shows(tmp_path: Path) -> None:
     weights = Region.parse([f"mask={tmp_path / 'mask.png'}@{tmp_path / 'cam.json'}"]).weights(splats)
     assert weights[(splats.means[:, 1] < -0.2) & (splats.means[:, 2] < -0.3)].all()
     assert not weights[splats.means[:, 1] > 0.1].any()
+    mask = f"mask={tmp_path / 'mask.png'}@{tmp_path / 'cam.json'}"
+    beside = Region.parse([mask]).beside(splats)
+    assert beside is not None and np.array_equal(beside, splats.means[:, 1] > 0), "in front and behind"
+    for more in ([mask, "x=-9..9"], [mask, "or", mask], [f"not:{mask}"], ["x=-9..9"]):
+        assert Region.parse(more).beside(splats) is None
     write_png(tmp_path / "own.png", np.repeat(pixels.repeat(2, 0).repeat(2, 1)[..., None], 3, -1) / 255.0, camera)
     again = Region.parse([f"mask={tmp_path / 'own.png'}"]).weights(splats)
     np.testing.assert_array_equal(again, weights)

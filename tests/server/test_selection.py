@@ -79,6 +79,33 @@ def test_an_area_is_exact_on_its_view_and_follows_the_asset(live: Live) -> None:
     assert selection(live)["gaussians"] == pytest.approx(through, abs=2)
 
 
+def test_what_lies_beside_an_outline_is_known_where_one_view_made_the_selection(live: Live) -> None:
+    selected = live.studio.selection
+    assert selected.beside() is None
+    area(live, left())
+    beside, right = selected.beside(), live.studio.session.splats.means[:, 0]
+    assert beside is not None and beside[right > 0.05].all() and not beside[right < -0.05].any()
+    # More of the same view belongs to the outline; what another view or tool adds has none.
+    low = np.zeros((SIZE, SIZE))
+    low[SIZE // 2 :] = 1
+    area(live, low, how="subtract")
+    less = selected.beside()
+    assert less is not None and less.sum() > 1.3 * beside.sum()
+    other = CameraInfo.of(view(angle=40)).model_dump()
+    live.post("selection.area", camera=other, mask=live.send(png(low)), how="add")
+    assert selected.beside() is None
+    area(live, left(), how="add")
+    assert selected.beside() is None
+    area(live, left())
+    live.post("selection.change", to="invert")
+    assert selected.beside() is None
+    area(live, left())
+    live.post("selection.change", to="grow", radius=0.2)
+    assert selected.beside() is None
+    live.post("selection.change", to="none")
+    assert selected.beside() is None
+
+
 def test_every_kind_of_selecting(live: Live) -> None:
     total = live.post("selection.change", to="all")["gaussians"]
     assert total == 600

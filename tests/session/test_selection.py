@@ -15,6 +15,7 @@ from splatpainter.rendering import render
 from splatpainter.session import Session
 from splatpainter.session.selection.selection import (
     Selection,
+    beside_mask,
     by_attribute,
     by_color,
     combined,
@@ -80,6 +81,17 @@ def test_a_mask_selects_the_surface_that_is_seen_or_all_behind_it() -> None:
     assert in_mask(hidden, view(), left_half(), through=True)[left].max() == 0
     soft = in_mask(solid, view(), 0.5 * left_half())
     assert soft[front & left].mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_a_view_draws_beside_a_mask() -> None:
+    solid = ball(3000)
+    beside = beside_mask(solid, view(), left_half())
+    right = solid.means[:, 0]
+    assert beside[right > 0.01].all() and not beside[right < -0.01].any(), "front and back alike"
+    everywhere = np.ones((96, 96), np.float32)
+    assert not beside_mask(solid, view(), everywhere).any()
+    away = moved(solid, (50, 0, 0)).append(moved(solid, (0, 0, -50)))  # off the picture, and behind the eye
+    assert beside_mask(away, view(), everywhere).all()
 
 
 def test_a_selection_is_seen_from_every_side() -> None:

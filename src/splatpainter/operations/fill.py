@@ -70,6 +70,7 @@ class Fill(PictureSourceOptions):
                     weights if self.where else None,
                     around=weights if self.around else None,
                     body=self.remove == "body",
+                    beside=region.beside(splats) if self.where else None,
                     source=source,
                     prompt=SourceBrief(self.prompt, seed=self.seed, strictness=self.strictness),
                     camera=camera.relative_to(splats.offset) if camera is not None else None,

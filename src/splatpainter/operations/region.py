@@ -30,7 +30,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatpainter.array_types import Floats
+from splatpainter.array_types import Bools, Floats
+from splatpainter.cameras import Camera
 from splatpainter.color import from_hex, luminance, oklab
 from splatpainter.grading.color_match import display_colors
 from splatpainter.image_files import find_camera
@@ -55,6 +56,22 @@ MIN_CHROMA = 0.05
 OF_FILES = ("mask", "selection", "layer")
 """Terms that name files."""
 TermReader = Callable[[str, str], Weigh]
+
+
+@dataclass(frozen=True)
+class MaskOnView:
+    """A term: what shows mostly inside a mask that was drawn on a view."""
+
+    camera: Camera
+    """In the world."""
+    mask: np.ndarray
+    """[H, W] bool, of the camera's size."""
+
+    def __call__(self, splats: Splats) -> Floats:
+        from splatpainter.lift.masked_gaussians import reached_gaussians
+
+        # By what shows inside the mask, as the studio selects, and not by where centres lie.
+        return reached_gaussians(splats, [(self.camera.relative_to(splats.offset), self.mask)]).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -94,6 +111,16 @@ class Region:
         if not out.any():
             raise ValueError(f"--where {self.text}: reaches none of {len(splats)} Gaussians; widen it")
         return out
+
+    def beside(self, splats: Splats) -> Bools | None:
+        """[N] bool: Gaussians that are drawn beside the mask of which the region is all there is; None: it is other
+        than one mask."""
+        from splatpainter.session.selection.selection import beside_mask
+
+        terms = [term for group in self.groups for term in group]
+        if len(terms) != 1 or not isinstance(terms[0], MaskOnView):
+            return None
+        return beside_mask(splats, terms[0].camera.relative_to(splats.offset), terms[0].mask.astype(np.float32))
 
 
 def check_terms(words: Sequence[str]) -> None:
@@ -271,7 +298,7 @@ def _sphere(name: str, text: str) -> Weigh:
     return lambda splats: (((splats.world_means - np.array(center)) ** 2).sum(1) <= radius**2).astype(np.float32)
 
 
-def _mask(name: str, text: str) -> Weigh:
+def _mask(name: str, text: str) -> MaskOnView:
     # Without @CAM.json the picture itself has to carry its camera.
     picture, at, camera_name = text.rpartition("@")
     if not at:
@@ -289,13 +316,7 @@ def _mask(name: str, text: str) -> Weigh:
     if mask.shape != (camera.height, camera.width):
         mask = resample(mask.astype(np.float32), camera.width, camera.height) > 0.5
 
-    def weigh(splats: Splats) -> np.ndarray:
-        from splatpainter.lift.masked_gaussians import reached_gaussians
-
-        # By what shows inside the mask, as the studio selects, and not by where centres lie.
-        return reached_gaussians(splats, [(camera.relative_to(splats.offset), mask)]).astype(np.float32)
-
-    return weigh
+    return MaskOnView(camera, mask)
 
 
 def _of_project(name: str, text: str) -> Weigh:

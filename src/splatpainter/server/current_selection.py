@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,11 +16,34 @@ from splatpainter.cameras import Camera
 from splatpainter.io import files
 from splatpainter.server.selection_history import SelectionHistory, SelectionState
 from splatpainter.session import Session
-from splatpainter.session.selection.selection import Combine, Selection, combined, view_and_points, view_of
+from splatpainter.session.selection.selection import (
+    Combine,
+    Selection,
+    beside_mask,
+    combined,
+    view_and_points,
+    view_of,
+)
 from splatpainter.splats import Splats
+from splatpainter.system.quick_dataclass import dataclass
 
 SHARPEN = (0.3, 0.7)
 """Shares of a pixel between which a rendered selection goes from 0 to 1: its Gaussians overlap."""
+
+
+@dataclass(frozen=True)
+class DrawnArea:
+    """What is selected of a view, as it was drawn there."""
+
+    camera: Camera
+    mask: np.ndarray
+    """[H, W] 0..1."""
+    is_all: bool
+    """Whether nothing that is selected was chosen in another way or on another view."""
+
+    @property
+    def view(self) -> bytes:
+        return _key(self.camera)
 
 
 class CurrentSelection:
@@ -37,7 +61,7 @@ class CurrentSelection:
         """The step of the history that was in effect after the latest command."""
         self._selection: Selection | None = None
         self._previous: Selection | None = None
-        self._drawn: tuple[bytes, np.ndarray] | None = None
+        self._drawn: DrawnArea | None = None
         self._weights: tuple[int, int, np.ndarray] | None = None
         self._view: tuple[bytes, int, int, np.ndarray, np.ndarray] | None = None
         self._lock = threading.Lock()
@@ -69,11 +93,20 @@ class CurrentSelection:
     def choose_area(self, weights: np.ndarray, camera: Camera, mask: np.ndarray, how: Combine) -> None:
         """Apply what a mask on a view selects. weights: [N]; mask: [H, W] 0..1."""
         # The view is asked for before the choice changes it, and the drawn edge is kept only if anything was selected.
-        before = self.view(camera)
+        before, of_before = self.view(camera), self._drawn
         drawn = combined(before, mask, how)
+        is_all = how == "replace" or not self
+        is_all |= of_before is not None and of_before.is_all and of_before.view == _key(camera)
         self.choose(combined(self.weights(), weights, how))
         if self:
-            self._drawn = (_key(camera), drawn)
+            self._drawn = DrawnArea(camera, drawn, is_all)
+
+    def beside(self) -> np.ndarray | None:
+        """[N] bool: Gaussians that are drawn beside the outline, where one view's outline is all of the selection."""
+        drawn = self._drawn
+        if drawn is None or not drawn.is_all:
+            return None
+        return beside_mask(self.session.splats, drawn.camera, drawn.mask)
 
     def reselect(self) -> None:
         """Select what was selected before."""
@@ -87,7 +120,7 @@ class CurrentSelection:
         drawn = self._drawn
         self.choose(weights)
         if self and drawn is not None:
-            self._drawn = (drawn[0], 1 - drawn[1])
+            self._drawn = replace(drawn, mask=1 - drawn.mask, is_all=False)
 
     def view(self, camera: Camera) -> np.ndarray | None:
         """[H, W] float32 0..1: what of a view is selected; None: nothing is, all of it may be painted."""
@@ -100,8 +133,8 @@ class CurrentSelection:
         if weights is None:
             return None
         # On the view that it was drawn on, the drawn edge itself answers, and nothing has to be rendered.
-        if drawn is not None and drawn[0] == key:
-            return drawn[1], np.zeros((0, 2), np.float32)
+        if drawn is not None and drawn.view == key:
+            return drawn.mask, np.zeros((0, 2), np.float32)
         version = self.session.version
         # Pages ask for the same view at the same time; it is rendered once for all of them.
         with self._lock:
@@ -173,7 +206,7 @@ class CurrentSelection:
         data = self._selection.to_png()
         return files.sha256(data), data
 
-    def _set(self, selection: Selection | None, gaussians: int, drawn: tuple[bytes, np.ndarray] | None) -> None:
+    def _set(self, selection: Selection | None, gaussians: int, drawn: DrawnArea | None) -> None:
         # An empty selection is no place to come back to.
         if self._selection is not None:
             self._previous = self._selection

@@ -25,12 +25,12 @@ class SelectionState:
     """A session.selection.Selection; None: nothing."""
     gaussians: int
     drawn: Any
-    """The view and mask it was drawn on, of CurrentSelection."""
+    """The DrawnArea of CurrentSelection."""
 
     @property
     def bytes(self) -> int:
         arrays = [] if self.selection is None else [self.selection.weights, self.selection.points]
-        arrays += [] if self.drawn is None else [self.drawn[1]]
+        arrays += [] if self.drawn is None else [self.drawn.mask]
         return sum(array.nbytes for array in arrays)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from splatpainter.server.commands.context import CommandContext, RawExpr, command, layer_made, progress, python_line
+from splatpainter.server.commands.selection import BESIDE_MASK
 from splatpainter.server.commands.source_edit import SourceCommand, SourceWords, TicketFlag, within_limits
 from splatpainter.server.describe import layer_info
 from splatpainter.server.protocol import CameraInfo, Command, LayerMade, Name
@@ -40,18 +41,20 @@ def fill_selection(context: CommandContext, request: FillSelection) -> FillMade:
     weights = current.weights()
     if weights is None:
         raise ValueError("selection: nothing is selected; select something first")
+    beside = current.beside() if request.remove and request.body else None
     part = ""
     with progress(context, request.name):
         if request.remove and request.body:
             # Asked for apart, as the layer's own note counts a body but does not say that it is a part.
-            weights, part = session.layers.body(weights)
+            weights, part = session.layers.body(weights, beside)
         layer = session.layers.fill(weights, remove=request.remove, name=request.name)
     # The part that was selected is hidden or covered now.
     current.choose(None)
     # Only what differs from the defaults belongs in the line.
     remove = True if request.remove else None
     body = True if request.remove and request.body else None
-    line = python_line("session.layers.fill", RawExpr("weights"), remove=remove, body=body)
+    around = None if beside is None else BESIDE_MASK
+    line = python_line("session.layers.fill", RawExpr("weights"), remove=remove, body=body, beside=around)
     info = layer_info(session, layer)
     return FillMade(layer=info, python=line, note="; ".join(filter(None, (part, info.note if request.remove else ""))))
 

@@ -27,6 +27,8 @@ from splatpainter.session.selection import selection as tools
 from splatpainter.session.selection import selection_space as space
 from splatpainter.session.selection.selection import Attribute, Combine
 
+BESIDE_MASK = RawExpr("selection.beside_mask(session.splats, camera, mask)")
+"""What `CurrentSelection.beside` is, as one would write it."""
 MAX_RADIUS_SHARE = 1.0
 """Largest share of the asset's radius by which a selection may grow, shrink or be feathered at a time."""
 
@@ -167,10 +169,13 @@ def change_selection(context: CommandContext, request: SelectChange) -> Selected
     elif request.to == "connected":
         current.choose(space.connected(splats, weights))
     elif request.to == "body":
-        body, note = context.studio.session.layers.body(weights)
+        beside = current.beside()
+        body, note = context.studio.session.layers.body(weights, beside)
         if not note:
             current.choose(body)
-        line = "weights, note = session.layers.body(weights)"
+        line = python_line(
+            "weights, note = session.layers.body", RawExpr("weights"), beside=None if beside is None else BESIDE_MASK
+        )
         return _selected(context, line).model_copy(update={"note": note})
     else:
         # Bounded: a radius of many assets would take long and select everything or nothing.

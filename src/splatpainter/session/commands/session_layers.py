@@ -283,20 +283,31 @@ class SessionLayers(Sequence[Layer]):
             core.commit(f"add {layer.name}", document, strict=layer.id)
             return layer
 
-    def body(self, weights: np.ndarray) -> tuple[np.ndarray, str]:
+    def body(self, weights: np.ndarray, beside: np.ndarray | None = None) -> tuple[np.ndarray, str]:
         """([N] 0..1 weights of the whole connected body that a selection is of, ""), or, where that is a part of
-        something larger, the weights themselves and a line that says so. weights: [N] 0..1 of `Session.splats`."""
+        something larger, the weights themselves and a line that says so. weights: [N] 0..1 of `Session.splats`; beside:
+        [N] bool, where an outline on a view chose them: Gaussians drawn beside it (selection.beside_mask), so that a
+        neighbour that touches what is outlined stays."""
         weights = self._core.checked_weights(weights)
         selected = weights >= SELECTED
-        chosen, words = body_or_selection(self._core.splats.numpy(), selected)
+        chosen, words = body_or_selection(self._core.splats.numpy(), selected, beside)
         return (weights, words) if chosen is selected else (chosen.astype(np.float32), "")
 
-    def fill(self, weights: np.ndarray, *, remove: bool = False, body: bool = False, name: str = "Fill") -> Layer:
+    def fill(
+        self,
+        weights: np.ndarray,
+        *,
+        remove: bool = False,
+        body: bool = False,
+        beside: np.ndarray | None = None,
+        name: str = "Fill",
+    ) -> Layer:
         """A layer of new Gaussians that continue the surface over a hole, in colours of what surrounds it
         (holes/fill.py); nothing else changes. weights: [N] 0..1 of `Session.splats`: Gaussians around the hole, as
         circling it selects them; or (remove) those that go first, by a layer below that hides them. Both layers are one
         step of the history; where the surface behind is closed the upper one is empty, and its note says so. body: what
-        goes is the whole connected body that they are of, as far as there is one (holes/body.py). Of several assets a
+        goes is the whole connected body that they are of, as far as there is one (holes/body.py); beside: as for
+        `body`. Of several assets a
         hole is in that which most of the weights are of; what is removed goes from all, and every one is filled. Raises
         ValueError where nothing is selected, and where there is no hole that can be filled."""
         core = self._core
@@ -306,7 +317,7 @@ class SessionLayers(Sequence[Layer]):
         # The layer keeps which it was: a removed body and a circled hole are found in different ways on replay.
         where: FillWhere = "removed" if remove else "around"
         if remove and body:
-            weights, _ = self.body(weights)
+            weights, _ = self.body(weights, beside)
         with core.command():
             document, added = core.document, []
             # What is removed goes from every asset that it is selected on; a circled hole is in one.
