@@ -14,8 +14,9 @@ from PIL import Image
 
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
-from splatpainter.gatekeeper.borders import BORDER_NOTE, border_of
+from splatpainter.gatekeeper.borders import BORDER_NOTE, border_of, border_or_strip
 from splatpainter.gatekeeper.picture_gate import CheckedPicture, checked_picture
+from splatpainter.gatekeeper.strips import strip_of
 from splatpainter.pictures.edit_files import PictureFile, draw
 from splatpainter.pictures.picture_reader import Picture
 from splatpainter.splats import SH_C0, Splats
@@ -75,6 +76,32 @@ FRAMES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
+GREY = (0.25, 0.25, 0.25)
+"""The background of `close_up`."""
+
+
+def written(colors: np.ndarray, side: str, width: int, color: tuple[float, float, float]) -> np.ndarray:
+    """A strip with dark words on it, clear of its edges."""
+    out = framed(colors, width, color, side)
+    band = out if side == "t" else out[::-1]
+    band[4 : width - 4, 20:90:3] = 0.05
+    return out
+
+
+STRIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "a film's lower bar": lambda p: framed(p, 24, 0.0, "b"),
+    "a caption": lambda p: written(p, "b", 20, (1, 1, 1)),
+    "a title bar": lambda p: written(p, "t", 16, (0.93, 0.93, 0.94)),
+    "a bar of tasks": lambda p: written(p, "b", 18, (0.12, 0.12, 0.13)),
+    "a scan's edge": lambda p: framed(p, 5, 0.04, "l"),
+    "a scan's edge as JPEG": lambda p: jpeg(framed(p, 16, 0.98, "r")),
+    "a wider canvas of the background": lambda p: framed(p, 20, GREY),
+    "a letterbox of the background": lambda p: framed(p, 30, GREY, "tb"),
+    "pillars of the background": lambda p: framed(p, 26, GREY, "lr"),
+}
+"""What no hand paints, but on one side alone, or in the background's colour."""
+
+
 def checked(picture: np.ndarray, **policy: str) -> CheckedPicture:
     splats, camera, _, _ = close_up()
     size = camera.width, camera.height
@@ -111,6 +138,43 @@ def test_correct_paints_what_it_frames(name: str) -> None:
     assert (different & source.mask & ~dab).mean() < 0.005 + plain
     border = border_of(FRAMES[name](painted()), close_up()[2], close_up()[3])
     assert border is not None and not (different & source.mask)[border].any()
+
+
+@pytest.mark.parametrize("name", STRIPS)
+def test_a_strip_is_named_before_anything_is_painted(name: str) -> None:
+    with pytest.raises(ValueError, match=r"framed by a border of one colour.*--correct puts it right"):
+        checked(STRIPS[name](painted()))
+
+
+@pytest.mark.parametrize("name", STRIPS)
+def test_correct_leaves_a_strip_out(name: str) -> None:
+    source = checked(STRIPS[name](painted()), policy="correct").source
+    _, _, view, alpha = close_up()
+    assert source.mask is not None and BORDER_NOTE in source.notes and source.mask[DAB].mean() > 0.95
+    strip = strip_of(STRIPS[name](painted()), view, alpha)
+    different = np.abs(source.picture.colors - view).max(-1) > 0.03
+    assert strip is not None and strip.is_certain and not (different & source.mask)[strip.outside].any()
+
+
+@pytest.mark.parametrize(
+    ("color", "side", "is_remarked"),
+    [(GREY, "t", True), (GREY, "l", True), ((0.6, 0.6, 0.62), "r", True), ((0.2, 0.5, 0.3), "b", False)],
+)
+def test_what_a_selection_of_one_side_fills_is_painted(
+    color: tuple[float, float, float], side: str, is_remarked: bool
+) -> None:
+    """In a grey, as the background's, with a remark; a pigment is paint."""
+    splats, _, view, _ = close_up()
+    picture = framed(painted(), 24, color, side)
+    out = checked(picture)
+    assert bool(out.warning) == ("--correct leaves that out" in out.warning) == is_remarked
+    assert BORDER_NOTE not in out.source.notes
+    left_out = checked(picture, policy="correct").source.mask
+    assert left_out is not None and left_out[DAB].mean() > 0.95
+    edit = out.source.edit(splats)
+    band = (np.abs(picture - view).max(-1) > 0.1) & (framed(np.zeros_like(view), 24, 1, side)[..., 0] > 0)
+    assert edit.mask is None or edit.mask[band].mean() > 0.9
+    assert (left_out[band].mean() < 0.1) == is_remarked
 
 
 def test_force_paints_a_border() -> None:
@@ -165,16 +229,43 @@ PAINT: dict[str, np.ndarray] = {
         (np.arange(240) < 200)[None, :, None], framed(VIEW, 10, 0.9, "tb"), VIEW
     ),
     "graded": VIEW * 0.8,
+    "a wavy stroke along one side": np.where(
+        (np.arange(240)[:, None] < 26 + 5 * np.sin(np.arange(240) / 9))[..., None], 0.02, VIEW
+    ),
+    "a soft stroke along one side": VIEW * np.clip(np.abs(np.arange(240) - 20) / 14 - 0.4, 0, 1)[:, None, None],
+    "black around": np.where((np.hypot(*(np.mgrid[:240, :240] - 120)) > 110)[..., None], 0.0, VIEW),
+    "stripes": np.where((np.arange(240) % 40 < 20)[:, None, None], 0.95, VIEW),
+    "the lower half black": framed(VIEW, 110, 0.0, "b"),
+    "a band of pigment with words": written(VIEW, "b", 30, (0.5, 0.35, 0.1)),
 }
 
 
 @pytest.mark.parametrize("name", PAINT)
 def test_paint_is_no_border(name: str) -> None:
-    assert border_of(eight_bits(PAINT[name]), VIEW, ALPHA) is None
+    assert border_or_strip(eight_bits(PAINT[name]), VIEW, ALPHA) is None
+
+
+def test_two_ends_that_were_erased_may_be_meant() -> None:
+    erased = np.where((top(0.1) > 0) | ((top(1.0) > 0) & (top(0.8) == 0)), 0.25, VIEW)
+    strip = border_or_strip(eight_bits(erased), VIEW, ALPHA)
+    assert strip is None or not strip.is_certain
+
+
+def test_handles_that_were_erased_are_no_border() -> None:
+    """Each ends where the body begins, by itself."""
+    y, x = np.mgrid[:240, :240]
+    body = np.hypot(x - 120, y - 120) < 70
+    handle = np.abs(np.hypot(np.abs(x - 120) - 66, y - 120) - 34) < 6
+    cover = (body | handle).astype(np.float32)
+    noise = np.random.default_rng(2).uniform(0.4, 0.9, (240, 240, 3))
+    render = eight_bits(np.where(cover[..., None] > 0, noise, 0.25))
+    erased = render.copy()
+    erased[:, :50] = erased[:, -50:] = render[0, 0]
+    assert (erased != render).any() and border_or_strip(erased, render, cover) is None
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (5, 1), (3, 3)])
 def test_pictures_of_a_few_pixels(size: tuple[int, int]) -> None:
     for one, other in ((0.0, 1.0), (1.0, 1.0)):
         picture, render = np.full((*size, 3), one, np.float32), np.full((*size, 3), other, np.float32)
-        assert border_of(picture, render, np.ones(size, np.float32)) is None
+        assert border_or_strip(picture, render, np.ones(size, np.float32)) is None

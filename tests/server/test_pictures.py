@@ -103,6 +103,23 @@ def test_a_border_around_a_picture_is_no_paint(studio: Live, bar: int, scale: in
     assert (seen & mask).sum() > 0.95 * mask.sum() and not (seen & rim).any()
 
 
+@pytest.mark.parametrize(("color", "is_certain"), [(0.0, True), (0.5, False)])
+def test_a_strip_along_one_side_is_left_out_or_pointed_at(studio: Live, color: float, is_certain: bool) -> None:
+    """Black: a film's bar; a grey that fills the lower side of an asset without a background may be meant."""
+    near = view(96)
+    near = replace(near, fx=near.fx * 2.5, fy=near.fy * 2.5)
+    image, mask = painted(np.clip(render(ball(), near).colors[0], 0, 1))
+    image[-20:] = color
+    blob = studio.send(png_bytes(image))
+    checked = studio.post("picture.check", picture=blob, camera=wire(near))
+    seen = fetch(studio, checked["mask"]) > 127
+    assert seen[mask].mean() > 0.95 and (BORDER_NOTE in checked["notes"]) == is_certain
+    assert not seen[-20:].any() if is_certain else seen[-20:].mean() > 0.9
+    pointed = [one for one in checked["warnings"] if one["message"].startswith("One side of the picture")]
+    assert bool(pointed) != is_certain
+    assert is_certain or (fetch(studio, pointed[0]["picture"])[-20:, :, 3] > 0).all()
+
+
 @pytest.mark.parametrize("ending", ["PNG", "JPEG"])
 @pytest.mark.parametrize("scale", [1, 2])
 def test_a_ground_that_a_program_laid_behind_the_picture_is_no_paint(studio: Live, ending: str, scale: int) -> None:

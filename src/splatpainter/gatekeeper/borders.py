@@ -2,8 +2,8 @@
 
 A border covers whole rows and columns along the rim with one colour that the view has not there, on two sides at least.
 A hand paints along one side, or leaves something of the view beside its stroke; a ground that a program laid behind the
-whole asset (pictures/lost_transparency.py) goes on within. Pure. H, W: pixels of the view; colours are display sRGB
-0..1.
+whole asset (pictures/lost_transparency.py) goes on within. Strips along one side, or in the background's colour:
+gatekeeper/strips.py. Pure. H, W: pixels of the view; colours are display sRGB 0..1.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 from splatpainter.gatekeeper.fitted_mistakes import FITS
 from splatpainter.gatekeeper.mistaken_pictures import intact_share
-from splatpainter.gatekeeper.small_copies import COPIES, Explanation, mean_difference
+from splatpainter.gatekeeper.small_copies import COPIES, Cause, Explanation, mean_difference
+from splatpainter.gatekeeper.strips import Strip, strip_of
 from splatpainter.lift.masks import dilated, largest_channel
 from splatpainter.order_statistics import median
 from splatpainter.system.quick_dataclass import dataclass
@@ -46,6 +47,10 @@ class PictureBorderThresholds:
 
 BORDERS = PictureBorderThresholds()
 BORDER_WORDS = "framed by a border of one colour (of a scan, a larger canvas, a screenshot, a film)"
+STRIP_WORDS = (
+    "covered by a strip of one colour all along a side (of a caption, a film, a scan, a larger canvas); --correct "
+    "leaves that out"
+)
 BORDER_NOTE = "its border of one colour is no paint"
 
 
@@ -58,7 +63,10 @@ class FramedPicture:
     window: tuple[slice, slice]
     """Rows and columns within the border and what may blend with it."""
     explanation: Explanation | None
-    """Why it differs; cause "border" where that covers a part of the asset and nothing else is wrong."""
+    """Why it differs; cause "border" where that covers a part of the asset and nothing else is wrong, "strip" where a
+    hand may have painted it."""
+    is_certain: bool = True
+    """Whether the border is none that a hand painted."""
 
 
 def framed_picture(
@@ -71,9 +79,10 @@ def framed_picture(
     """What a border frames; None where a picture [H, W, 3] has none, or where it came with a move, as that of a larger
     canvas shown smaller, and is a part of it. render: [H, W, 3]; cover: [H, W] alpha of the asset; explanation: why the
     picture differs as it is; why: says that of one [H, W, 3] within a border."""
-    border = border_of(picture, render, cover)
-    if border is None:
+    around = border_or_strip(picture, render, cover)
+    if around is None:
         return None
+    border, is_certain = around.outside, around.is_certain
     covered = with_rim(border)
     framed = np.where(covered[..., None], render, picture)
     is_moved = explanation is not None and explanation.cause == "moved"
@@ -85,10 +94,18 @@ def framed_picture(
     solid = cover > COPIES.min_cover
     differs = solid & (mean_difference(picture, render) > COPIES.max_difference)
     if (differs & border).any() and (within is None or within.may_be_meant):
-        within = Explanation("border", BORDER_WORDS, 1 - float(differs[solid].mean()), 1.0)
+        cause: Cause = "border" if is_certain else "strip"
+        words = BORDER_WORDS if is_certain else STRIP_WORDS
+        within = Explanation(cause, words, 1 - float(differs[solid].mean()), 1.0)
     rows, columns = (np.flatnonzero(~covered.all(axis)) for axis in (1, 0))
     window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return FramedPicture(framed, window, within)
+    return FramedPicture(framed, window, within, is_certain)
+
+
+def border_or_strip(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> Strip | None:
+    """What frames a picture [H, W, 3], or lies along one side of it; None where nothing does. As border_of."""
+    border = border_of(picture, render, cover)
+    return strip_of(picture, render, cover) if border is None else Strip(border, is_certain=True)
 
 
 def border_of(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> np.ndarray | None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
-from splatpainter.gatekeeper.borders import BORDER_NOTE, border_of, framed_picture, with_rim
+from splatpainter.gatekeeper.borders import BORDER_NOTE, border_or_strip, framed_picture, with_rim
 from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain, filtered
 from splatpainter.gatekeeper.small_copies import visible_after
 from splatpainter.gatekeeper.strictness import Strictness
@@ -111,7 +111,9 @@ def checked_picture(
     on_ground, filter_of_view = looking()
     compared, window = view, None
     if policy != "force":
-        source, view, explanation, window = _without_border(source, view, splats, mode, explanation, why)
+        source, view, explanation, window = _without_border(
+            source, view, splats, mode, explanation, why, leaves_strips=policy == "correct"
+        )
     # A grade changes the background, too: that is no ground of another program's. Nor is a border.
     if window is None and on_ground[1] is not compared and (explanation is None or not explanation.is_grade):
         source, view = on_ground
@@ -235,9 +237,11 @@ def _without_border(
     mode: Mode,
     explanation: Explanation | None,
     why: Callable[[_ComparedView], Explanation | None],
+    leaves_strips: bool,
 ) -> tuple[PictureFile, _ComparedView, Explanation | None, tuple[slice, slice] | None]:
     """The same with nothing painted where a border around the picture lies, why what it frames differs, and its rows
-    and columns, None where there is no border."""
+    and columns, None where there is no border. leaves_strips: whether that is done to what a hand may have painted,
+    too."""
     if source.mask is not None or source.photograph is not None or source.cut_out:
         return source, view, explanation, None
     framed = framed_picture(
@@ -245,11 +249,13 @@ def _without_border(
     )
     if framed is None:
         return source, view, explanation, None
+    if not framed.is_certain and not leaves_strips:
+        return source, view, framed.explanation, None
     # Of a larger picture the larger one is painted with.
     seen = view if source.view is None else _compared(source, splats)
-    border = border_of(seen.colors, seen.render, seen.cover)
-    if border is not None:
-        rest, picture = ~with_rim(border), source.picture
+    around = border_or_strip(seen.colors, seen.render, seen.cover)
+    if around is not None:
+        rest, picture = ~with_rim(around.outside), source.picture
         if mode == "spread":  # which takes transparency for thin paint
             picture = replace(picture, colors=np.where(rest[..., None], seen.colors, seen.render), alpha=None)
         else:

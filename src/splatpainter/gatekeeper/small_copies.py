@@ -16,12 +16,15 @@ from splatpainter.order_statistics import median
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.system.quick_dataclass import dataclass
 
-Cause = Literal["turned", "colors", "tone", "shade", "look", "filter", "detail", "moved", "border", "axes", "other"]
+Cause = Literal[
+    "turned", "colors", "tone", "shade", "look", "filter", "detail", "moved", "border", "strip", "axes", "other"
+]
 """turned: mirrored or turned round; colors: other colours than sRGB; tone: graded as a whole, its background too or
 not; shade: darkened or lightened from the middle outwards or from side to side; look: one colour laid over all of the
 asset, or all of it painted over, which may well be meant; filter: blurred or smoothed all over; detail: sharpened all
 over, or with detail added, which may well be meant; moved: shifted or scaled; border: one colour all along its rim,
-over parts of the asset; axes: the asset's axes are read another way; other: another asset, view or camera."""
+over parts of the asset; strip: the same along one side, where it may be meant; axes: the asset's axes are read another
+way; other: another asset, view or camera."""
 Change: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """[H, W, 3] -> [H, W, 3] (turns may exchange H and W), colours 0..1."""
 Size: TypeAlias = tuple[int, int]
@@ -121,7 +124,7 @@ class Explanation:
         """Whether it is only remarked: all of the asset was painted on purpose, or much of it is left as it was."""
         spares = "nothing" if self.mistake is None else self.mistake.spares
         partial = spares != "nothing" and (spares == "background" or self.reach < COPIES.min_reach)
-        return self.cause in ("look", "detail") or partial
+        return self.cause in ("look", "detail", "strip") or partial
 
     @property
     def is_grade(self) -> bool:

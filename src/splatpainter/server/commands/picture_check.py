@@ -17,6 +17,7 @@ from splatpainter.gatekeeper.borders import BORDER_NOTE, framed_picture
 from splatpainter.gatekeeper.crop_search import Crop, error_at, find_crop, find_shift, undo_shift
 from splatpainter.gatekeeper.mistaken_pictures import Explanation, explain
 from splatpainter.gatekeeper.photographs import carries_camera, laid_over, photograph_edit
+from splatpainter.gatekeeper.strips import strip_of
 from splatpainter.image_files import Alpha, find_alpha, find_camera
 from splatpainter.pictures.edit_files import over_render, unmultiplied
 from splatpainter.pictures.encodings import edited_in_encoded
@@ -208,7 +209,9 @@ def _without_its_border(placed: _Placed, cover: np.ndarray) -> _Placed | None:
         return explain(colors, placed.render, cover)
 
     framed = framed_picture(placed.colors, placed.render, cover, None, why)
-    return None if framed is None else replace(placed, colors=framed.colors, notes=[*placed.notes, BORDER_NOTE])
+    if framed is None or not framed.is_certain:
+        return None
+    return replace(placed, colors=framed.colors, notes=[*placed.notes, BORDER_NOTE])
 
 
 def _has_its_pixels(placed: _Placed, picture: Picture) -> bool:
@@ -253,6 +256,12 @@ def _warnings(context: CommandContext, placed: _Placed, mask: np.ndarray, cover:
     if explanation is not None and explanation.cause != "look":
         differs = f"differs from its view on {100 * (1 - explanation.agreeing):.0f} % of what they show"
         out.append(PictureWarning(message=f"The picture {differs}; most likely it is {explanation.words}."))
+    # A strip that a hand may have laid is painted, but seen before.
+    strip = None if placed.is_part else strip_of(placed.colors, placed.render, cover)
+    if strip is not None and not strip.is_certain:
+        text = "One side of the picture is all of one colour. If that is a caption or a bar, take it out of the edit."
+        where = studio.blobs.put(registration.png_bytes(registration.overlay(strip.outside)), "strip.png").sha256
+        out.append(PictureWarning(message=text, picture=where))
     if not mask.any():
         out.append(PictureWarning(message="The picture does not differ from the asset as it is now."))
     return out
