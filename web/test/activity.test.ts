@@ -1,9 +1,9 @@
 import { beforeEach, describe, expect, it } from "vitest";
 
 import { WRITING, type State } from "../src/messages";
-import { activity, LOADING_GAUSSIANS } from "../src/state/activity";
+import { activity, LOADING_GAUSSIANS, openAsset } from "../src/state/activity";
 import { answerStorage, noteStorage } from "../src/state/storage";
-import { drawn, opening, pendingStrokes, saving, state, swapped, working } from "../src/state/store";
+import { drawn, opening, pendingStrokes, saving, state, status, swapped, working } from "../src/state/store";
 
 const settled = { behind: false, written: 0, total: 0, version: 4 };
 
@@ -49,6 +49,18 @@ describe("the state", () => {
     expect(["paint.end", "layer.set", "undo", "look.commit"].every((name) => WRITING.has(name as never))).toBe(true);
     working.value = 1;
     expect(activity.value).toBe("Working");
+  });
+
+  it("says of the asset what is true before it has come", () => {
+    state.value = null;
+    for (const one of ["connecting", "open", "lost"] as const) {
+      status.value = one;
+      expect(openAsset.value).toBe("Opening the asset");
+    }
+    status.value = "stopped";
+    expect(openAsset.value).toBe("Nothing open");
+    state.value = { version: 1, asset: { gaussians: 1234567 } } as State;
+    expect(openAsset.value).toBe(`${(1234567).toLocaleString()} Gaussians`);
   });
 
   it("is Loading while an asset is on its way", () => {

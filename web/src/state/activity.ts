@@ -3,7 +3,7 @@
 import { computed } from "@preact/signals";
 
 import { storageProblem } from "./storage";
-import { drawn, opening, pendingStrokes, saving, state, swapped, working } from "./store";
+import { drawn, opening, pendingStrokes, saving, state, status, swapped, working } from "./store";
 
 /** A load of so many Gaussians takes long enough to be shown. */
 export const LOADING_GAUSSIANS = 50_000;
@@ -18,4 +18,10 @@ export const activity = computed<Activity>(() => {
   if (working.value > 0) return "Working";
   if (state.value === null || opening.value > 0 || total >= LOADING_GAUSSIANS) return "Loading";
   return behind || version !== state.value.version ? "Drawing" : "Saved";
+});
+
+/** What is open: until the server has told of it, it is on its way; a page that was stopped before that has nothing. */
+export const openAsset = computed<string>(() => {
+  if (state.value) return `${state.value.asset.gaussians.toLocaleString()} Gaussians`;
+  return status.value === "stopped" ? "Nothing open" : "Opening the asset";
 });

@@ -16,7 +16,7 @@ import {
   working,
 } from "../state/store";
 import { BatchChip } from "./batch";
-import { LOADING_GAUSSIANS } from "../state/activity";
+import { LOADING_GAUSSIANS, openAsset } from "../state/activity";
 import { aside } from "../state/side-view";
 import { Button } from "./parts";
 
@@ -91,7 +91,7 @@ export function StatusLine() {
   const line = pythonLog.value.at(-1);
   return (
     <footer class="status">
-      <span>{now ? `${now.asset.gaussians.toLocaleString()} Gaussians` : "No asset"}</span>
+      <span>{openAsset.value}</span>
       <BatchChip />
       {edit && (
         <span
