@@ -23,7 +23,7 @@ from splatpainter.lift.masks import box_mean, contrast, dilated
 from splatpainter.pictures.edit_files import draw
 from splatpainter.sources.picture_source import PictureRequest
 from tests.support.distorted_pictures import drawn_scene, jpeg, moved
-from tests.support.drawn_views import ALPHA, VIEW, decoded, eight_bits, encoded, on_the_asset, over, top
+from tests.support.drawn_views import ALPHA, VIEW, decoded, eight_bits, encoded, green_dab, on_the_asset, over, top
 
 OTHER_VIEW = drawn_scene(240, seed=5)[0]
 RNG = np.random.default_rng(3)
@@ -592,3 +592,32 @@ def test_what_lies_beside_itself_after_it_was_moved_back_is_no_paint() -> None:
     assert beside[~around].mean() > 0.95 and beside[dab].mean() < 0.02
     differs = np.abs(half - VIEW).max(-1) > 0.03
     assert differs.mean() > 0.02 and beside[differs & ~around].mean() > 0.8
+
+
+def pale() -> np.ndarray:
+    """The view as a pale asset: its colours near grey, on the same background."""
+    grey = VIEW.mean(-1, keepdims=True)
+    return eight_bits(np.where(ALPHA[..., None] > 0, 0.3 + 0.5 * grey + 0.25 * (VIEW - grey), VIEW))
+
+
+def adobe_numbers(colors: np.ndarray) -> np.ndarray:
+    """Adobe RGB (1998), annex: its primaries, and a gamma of 563 / 256."""
+    from_srgb = [[0.71512, 0.28488, 0], [0, 1, 0], [0, 0.04116, 0.95884]]
+    return eight_bits((decoded(colors) @ np.transpose(from_srgb)).clip(0, 1) ** (256 / 563))
+
+
+def test_adobe_numbers_of_a_pale_asset_are_no_grade() -> None:
+    """They change it little, as a curve does; but its paint much, which a curve does not take back."""
+    view = pale()
+    painted = green_dab(view)
+    explanation = explain(adobe_numbers(painted), view, ALPHA)
+    assert explanation is not None and "Adobe RGB numbers without their profile" in explanation.words, explanation
+    assert explanation.mistake is not None and explanation.mistake.undone is not None
+    assert np.abs(explanation.mistake.undone(adobe_numbers(painted)) - painted).max() < 0.02
+
+
+@pytest.mark.parametrize("gain", [0.85, 0.8, 0.7, 1.15])
+def test_an_exposure_under_a_dab_is_no_gamma(gain: float) -> None:
+    """Video levels, and gamma 1.8 for 2.2, explain two thirds of it, and were taken back in its place."""
+    explanation = explain(eight_bits(green_dab(VIEW) * gain), VIEW, ALPHA)
+    assert explanation is not None and explanation.cause == "tone" and "graded as a whole" in explanation.words

@@ -126,6 +126,12 @@ class MistakeThresholds:
     """Share of the asset that a grade must change visibly."""
     min_graded_background: float = 0.1
     """The same where it explains the background, too: much of an asset may be too dark to show it."""
+    min_slight_change: float = 4 / 255
+    """Change of a pixel from which it tells other primaries of pale colours."""
+    min_slight_share: float = 0.05
+    """Share of the asset that must tell so."""
+    max_slight_error: float = 1.25 / 255
+    """How near such a pixel is to what they make of it."""
     max_glaze_gain: float = 0.9
     """Contrast in parts of the render's up to which a colour may have been laid over all of the asset."""
     min_glaze_gain: float = 0.1
@@ -235,9 +241,9 @@ COLORS = (
     Mistake("colors", "of another gamma, 2.2 for 1.8", _power(2.2 / 1.8), _power(1.8 / 2.2)),
     Mistake("colors", "in limited video levels (16 to 235)", _video, _darker),
     Mistake("colors", "stretched as if it were video levels (16 to 235)", _darker, _video),
-    Mistake("colors", "Display P3 numbers without their profile", _to_p3, _from_p3, "grey"),
+    Mistake("colors", "made of Display P3 numbers without their profile", _to_p3, _from_p3, "grey"),
     Mistake("colors", "converted from Display P3 although it was sRGB", _from_p3, _to_p3, "grey"),
-    Mistake("colors", "Adobe RGB numbers without their profile", _to_adobe, _from_adobe, "grey"),
+    Mistake("colors", "made of Adobe RGB numbers without their profile", _to_adobe, _from_adobe, "grey"),
     Mistake("colors", "converted from Adobe RGB although it was sRGB", _from_adobe, _to_adobe, "grey"),
     Mistake("colors", "with red and blue exchanged", lambda p: p[..., ::-1], lambda p: p[..., ::-1], "grey"),
     Mistake("colors", "inverted (a negative)", lambda p: 1 - p, lambda p: 1 - p),
@@ -274,7 +280,12 @@ def explain(
         nothing_left = view.agreeing <= MISTAKES.max_agreeing or intact < MISTAKES.min_intact
         graded = _graded(view) if nothing_left else None
         likeliest = max(filter(None, (graded, best)), key=lambda one: one.agreeing_after, default=None)
-        likeliest = likeliest or _graded_under_paint(view, nothing_left)
+        # Of a pale asset other primaries change little, which a curve follows as well; its paint they change much.
+        likeliest = _other_primaries(view, likeliest) or likeliest
+        # Fixed curves explain a part of any exposure: one that fits beside the paint and explains more is likelier.
+        painted = _graded_under_paint(view, nothing_left) if graded is None else None
+        if painted is not None and (likeliest is None or _explains_more(painted, likeliest)):
+            likeliest = painted
         if likeliest is not None:
             return likeliest
     if raised is not None:
@@ -398,6 +409,38 @@ def _intact(picture: np.ndarray, render: np.ndarray) -> np.ndarray:
     """[H, W] bool: pixels with whose surroundings nothing happened."""
     same = box_mean(largest_difference(picture, render), 1) <= COPIES.max_unchanged
     return box_mean(same.astype(np.float32), MISTAKES.intact_px) > MISTAKES.min_same
+
+
+def _explains_more(graded: Explanation, other: Explanation) -> bool:
+    """Whether a grade that was fitted, and not only told, leaves less unexplained than another mistake."""
+    is_fitted = graded.mistake is not None and graded.mistake.undone is not None
+    return is_fitted and graded.agreeing_after > other.agreeing_after and other.cause in ("colors", "shade")
+
+
+def _other_primaries(view: SmallView, other: Explanation | None) -> Explanation | None:
+    """Numbers of other primaries that explain a picture of pale colours at least as well as another explanation does;
+    None where they do not."""
+    if other is not None and other.cause != "tone":
+        return None
+    solid = view.solid
+    out = None
+    for mistake in COLORS:
+        if mistake.made not in (_to_p3, _from_p3, _to_adobe, _from_adobe):
+            continue
+        made = np.ascontiguousarray(mistake.made(view.render), np.float32)
+        predicted = solid & (mean_difference(made, view.render) > MISTAKES.min_slight_change)
+        if predicted.sum() < max(MISTAKES.min_slight_share * solid.sum(), MISTAKES.min_filtered_px):
+            continue
+        if view.unchanged[predicted].mean() > COPIES.max_contradicting:
+            continue
+        error = mean_difference(view.picture, made)
+        if (error[predicted] <= MISTAKES.max_slight_error).mean() < MISTAKES.min_graded:
+            continue
+        after = float((error <= COPIES.max_difference)[view.compared].mean())
+        if after > max((one.agreeing_after for one in (out, other) if one is not None), default=0) - 0.01:
+            reach = 1.0 if other is not None else float(predicted.sum() / solid.sum())
+            out = Explanation(mistake.cause, mistake.words, view.agreeing, after, mistake, reach)
+    return out
 
 
 def _judged(mistake: Mistake, view: SmallView) -> Explanation | None:
