@@ -373,7 +373,9 @@ def moved_share_sorted(splats: Splats) -> float:
     order = morton_order(splats.numpy().means)
     counted = (rows.drawable & (rows.opacities >= MIN_DRAWN_OPACITY))[order]
     with np.errstate(all="ignore"):  # of rows that are not counted
-        apart = rounded_means(drawable_rows(rows).means[order]).astype(np.float64) - rows.means[order]
+        # Against world positions in float64: what float32 makes of those moves them, too.
+        world = splats.numpy().means[order].astype(np.float64) + np.array(splats.offset)
+        apart = rounded_means(drawable_rows(rows).means[order]).astype(np.float64) - world
         beyond = row_norm(apart) > row_max(rows.scales)[order]
     return float(beyond[counted].mean()) if counted.any() else 0.0
 
