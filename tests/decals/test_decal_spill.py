@@ -11,8 +11,10 @@ import pytest
 
 import splatpainter as sp
 from splatpainter.decals import decal_survey, decal_views
+from splatpainter.decals.decal_surface import surface_under
 from splatpainter.decals.decals import Decal
 from splatpainter.painter import Painter
+from splatpainter.surface.estimate import Surface
 from splatpainter.surface.unwrap import unwrap
 from tests.decals.test_decals import FRONT, MIDDLE, RED, looking
 from tests.support import surface_shapes
@@ -38,6 +40,23 @@ def test_a_click_into_a_crack_lies_on_the_surface_around_it() -> None:
     placement = Decal(SQUARE, MIDDLE, FRONT, 0.8).placed(asset)
     assert abs(placement.point[2] - 0.5) < 0.02 and np.hypot(*placement.point[:2]) < 0.1 * 0.8
     assert placement.surface_share > 0.9
+
+
+def test_every_pixel_that_shows_the_asset_has_a_place_for_a_decal() -> None:
+    """Where no plane fits the preview showed one, and Apply said that there is no surface."""
+    rng = np.random.default_rng(0)
+    cloud = facing(rng.uniform(-0.5, 0.5, (200, 3)), 0.06)
+    scales = (0.06 * rng.uniform(0.3, 2, (200, 3))).astype(np.float32)
+    cloud = replace(cloud, scales=scales, quats=rng.normal(size=(200, 4)).astype(np.float32))
+    asset, camera = Painter().encode(cloud), FRONT.resized(64, 64)
+    surface, alpha = Surface.of(asset.splats), sp.render(cloud, camera).alphas[0][..., 0]
+    for x, y in ((16, 36), (16, 40), (36, 20)):
+        assert alpha[y, x] > 0.6
+        point, normal = surface_under(asset, surface, camera, (x + 0.5, y + 0.5))
+        (pixel,), _ = camera.project(point[None])
+        assert np.abs(pixel - (x + 0.5, y + 0.5)).max() < 2.5 and normal @ (camera.position - point) > 0
+    with pytest.raises(ValueError, match="no surface under"):
+        surface_under(asset, surface, camera, (1.5, 1.5))
 
 
 def test_a_click_on_a_wire_stays_on_the_wire() -> None:

@@ -132,6 +132,11 @@ def test_every_panel_fits_where_fingers_touch(browser: Any, tmp_path: Path, widt
             tab.click()
             assert page.ask(BEYOND) == [] and page.ask(TOO_SMALL) == [], tab.inner_text()
         assert page.ask(BOX, ".layer-settings input[type=range]")[2] > 40, "the opacity can be dragged"
+        page.tab.keyboard.press("b")
+        page.drag((0.45, 0.5), (0.55, 0.5))
+        page.wait("a stroke", lambda: page.names() == ["Paint"])
+        page.settled()
+        assert page.ask(BEYOND) == [] and page.ask(TOO_SMALL) == [], "its words push nothing out of the last line"
         page.tab.keyboard.press("Control+s")
         page.tab.get_by_role("dialog").wait_for()
         assert page.ask(BEYOND) == [] and page.ask(TOO_SMALL) == []

@@ -157,6 +157,12 @@ def surface_under(
     visible_part = surface_pixels(asset, surface, view, alpha > DECAL_SURFACE.min_alpha, depth)
     away = hypot(visible_part.xs + 0.5 - (x - left), visible_part.ys + 0.5 - (y - top))
     if not len(away) or away.min() > 2:
+        # No plane fits what is scattered there: it lies at its depth, facing the camera, as the preview shows it.
+        clicked = np.zeros(alpha.shape, bool)
+        clicked[int(y) - top, int(x) - left] = True
+        rough = rough_pixels(asset, surface, view, clicked & (alpha > DECAL_SURFACE.min_alpha), depth)
+        if len(rough.points):
+            return rough.points[0], rough.normals[0]
         raise ValueError(f"decal: there is no surface under pixel {x:g},{y:g}; choose one on the asset")
     first = int(away.argmin())
     # The normal is a mean over those beside it that face the same way: one pixel is noise.
