@@ -82,6 +82,28 @@ def test_a_picture_of_something_else_matches_none(folder: Path) -> None:
         edit_from_files(folder / "a.png")
 
 
+@pytest.mark.parametrize("k", [0, 1, 2])
+def test_a_developed_picture_is_like_its_view_but_for_its_tone(k: int, folder: Path) -> None:
+    """darktable drops the camera and changes all colours: no view was found for the pictures that it is for."""
+    pixels = np.asarray(painted(k)) / 255
+    for name, graded in (("dark.jpg", 0.75 * pixels), ("warm.jpg", pixels * [1.15, 1, 0.8])):
+        Image.fromarray((graded.clip(0, 1) * 255).round().astype(np.uint8)).save(folder / name, quality=92)
+        file = edit_from_files(folder / name)
+        assert np.array_equal(file.camera.world_to_camera, camera_at(ANGLES[k]).world_to_camera)
+
+
+def test_a_picture_without_contrast_is_like_no_view(folder: Path) -> None:
+    Image.fromarray((SHOTS[0] * 20 + 100).round().astype(np.uint8)).save(folder / "fog.png")
+    with pytest.raises(ValueError, match="none of 3 views beside it is like it"):
+        edit_from_files(folder / "fog.png")
+
+
+def test_a_cropped_picture_says_the_shape_of_the_views(folder: Path) -> None:
+    painted(0).crop((0, 0, 96, 60)).save(folder / "a.png")
+    with pytest.raises(ValueError, match=r"no view beside it has its shape, 96x60 \(view_.*96x72: do not crop\)"):
+        edit_from_files(folder / "a.png")
+
+
 def test_views_that_are_alike_are_told_by_name() -> None:
     views = [NamedView(f"view_{k:03d}.png", camera_at(0.1 * k), thumbnail(SHOTS[0])) for k in range(3)]
     assert most_alike(SHOTS[0], views) is None
