@@ -121,17 +121,17 @@ def _toned(view: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """A view's thumbnail [S, S, 3] in the exposure, contrast and balance of a picture's; as it is where no such grade
     leads from the one to the other."""
     before, after = view.reshape(-1, 3).astype(np.float64), picture.reshape(-1, 3).astype(np.float64)
-    kept, out = np.ones(len(before), bool), before
+    unpainted, out = np.ones(len(before), bool), before
     for _ in range(VIEW_SEARCH.tone_rounds):
-        low, high = before[kept].mean(0), after[kept].mean(0)
-        spread = ((before[kept] - low) ** 2).sum(0)
-        gain = ((before[kept] - low) * (after[kept] - high)).sum(0) / np.maximum(spread, 1e-6)
+        low, high = before[unpainted].mean(0), after[unpainted].mean(0)
+        spread = ((before[unpainted] - low) ** 2).sum(0)
+        gain = ((before[unpainted] - low) * (after[unpainted] - high)).sum(0) / np.maximum(spread, 1e-6)
         if gain.min() < VIEW_SEARCH.tone_gains[0] or gain.max() > VIEW_SEARCH.tone_gains[1]:
             return view
         out = high + gain * (before - low)
         error = np.abs(out - after).mean(1)
         # What was painted over is in no tone.
-        kept = error <= np.sort(error)[int(VIEW_SEARCH.toned_share * (len(error) - 1))]
+        unpainted = error <= np.sort(error)[int(VIEW_SEARCH.toned_share * (len(error) - 1))]
     return np.clip(out, 0, 1).reshape(view.shape).astype(np.float32)
 
 
@@ -232,11 +232,10 @@ def lost_camera(path: Path, picture: Picture, folders: Iterable[Path]) -> tuple[
     best = most_alike(colors, views, path.stem)
     if best is None:
         actual = f"none of {len(views)} views beside it is like it, or several are" if views else "no view beside it"
-        if not views and (others := views_in(folders, None, besides=path)):
-            shape = f"{others[0].camera.width}x{others[0].camera.height}"
-            actual += (
-                f" has its shape, {picture.size[0]}x{picture.size[1]} ({others[0].name} is of {shape}: do not crop)"
-            )
+        if not views and (of_any_shape := views_in(folders, None, besides=path)):
+            view, (width, height) = of_any_shape[0], picture.size
+            shape = f"{view.camera.width}x{view.camera.height}"
+            actual += f" has its shape, {width}x{height} ({view.name} is of {shape}: do not crop)"
         raise ValueError(
             f"{path}: no camera in it, in {path.with_suffix('.json').name}, or given with --camera, and {actual}; give "
             "--camera CAM.json, the view that it was painted on, or the folder of the views"
