@@ -12,12 +12,14 @@ import splatpainter as sp
 from splatpainter.cameras import look_at
 from splatpainter.lift.nearest import nearest_pixels
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
+from splatpainter.lift.sheets import resurface as sheets
 from splatpainter.lift.sheets.fringe import FringedSurface, fringe_paint
+from splatpainter.lift.sheets.near_surface import NearSurface
 from splatpainter.lift.sheets.paint import PaintedView, paint_view
-from splatpainter.lift.sheets.resurface import _cut
+from splatpainter.lift.sheets.resurface import _cut, clear_pixels
 from splatpainter.lift.sheets.sheet import SHEET, flat_cells
 from splatpainter.lift.sheets.view_limits import paintable
-from splatpainter.rendering.cpu.projected_view import ProjectedView, project, tile_shape
+from splatpainter.rendering.cpu.projected_view import ProjectedView, pixels_of_tiles, project, tile_shape
 from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import Splats
 from splatpainter.surface.estimate import Surface
@@ -145,6 +147,50 @@ def test_a_drawing_that_somebody_holds_is_taken_and_changes_no_bit(scene: str, m
     assert same_bits(anew.splats, taken.splats)
     for name in ("touched", "parents", "replaced", "removed", "on_surface"):
         np.testing.assert_array_equal(getattr(anew, name), getattr(taken, name))
+
+
+def test_what_was_summed_under_a_sheet_is_summed_again_where_the_sheet_is_another(monkeypatch: pytest.MonkeyPatch):
+    """Paint over the outline takes the sheet on with it; clear pixels are asked of the tiles of the paint alone."""
+    splats, again, beyond, sum_again = ball(), 0, 0, ProjectedView.sum_again
+
+    def asked(splats: Splats, view: ProjectedView, here: np.ndarray, sums: Any, *rest: Any) -> np.ndarray:
+        nonlocal beyond
+        beyond += int((pixels_of_tiles(view.tiles, here.shape) & ~here).any())
+        for one, expected in zip(sums, view.mask_sums(rest[1], here), strict=True):
+            np.testing.assert_array_equal(one.alpha, expected.alpha)
+        return clear_pixels(splats, view, here, sums, *rest)
+
+    def watched(view: ProjectedView, sums: np.ndarray, mask: np.ndarray, mask2: np.ndarray, tiles: np.ndarray) -> None:
+        nonlocal again
+        again += bool(tiles.any()) and not tiles[view.tiles].all()
+        sum_again(view, sums, mask, mask2, tiles)
+        for one, expected in zip(view.reduced_masks(sums), view.mask_sums(mask, mask2), strict=True):
+            for name in ("weight", "alpha", "peak"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(expected, name), name)
+
+    monkeypatch.setattr(ProjectedView, "sum_again", watched)
+    monkeypatch.setattr(sheets, "clear_pixels", asked)
+    edge = np.flatnonzero(draw(splats).max(2)[64])[-1]
+    for mask in (disk(FRONT, edge, 64, 12), disk(FRONT, 64, 64, 20)):
+        assert len(paint(splats, mask).replaced)
+    assert again and beyond
+
+
+def test_which_pixels_are_clear_is_asked_of_some_tiles_of_a_view():
+    """What Gaussians give to pixels beyond these tiles counts for nothing."""
+    splats = ball(3000)
+    large = np.arange(0, 3000, 40)
+    splats.scales[large] *= 6
+    view, tiles = project(splats, FRONT), np.zeros(tile_shape(FRONT), bool)
+    tiles[3:5, 3:5] = True
+    covered = np.kron(tiles, np.ones((16, 16), bool))
+    window = (slice(46, 82), slice(46, 82))
+    near = NearSurface.of(visible_surface(Surface.of(splats), splats, view, covered), covered)
+    part, ones = view.part(tiles=tiles), np.ones(covered.shape, bool)
+    alone = clear_pixels(splats, part, ones, part.mask_sums(covered, ones), near, covered, window)
+    among = clear_pixels(splats, view, covered, view.mask_sums(covered, covered), near, covered, window)
+    np.testing.assert_array_equal(among, alone)
+    assert 50 < alone.sum() < covered.sum()
 
 
 def test_flat_paint_needs_few_gaussians_and_detail_many():

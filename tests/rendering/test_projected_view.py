@@ -107,6 +107,22 @@ def test_two_masks_are_two_walks_where_most_is_hidden():
     assert min(hidden) > 30
 
 
+def test_masks_that_change_in_some_tiles_are_walked_there_alone():
+    splats, camera = with_odd_gaussians(scene(300, seed=4, dtype=np.float32)), cameras(150, 110)[0]
+    rng, view = np.random.default_rng(1), project(splats, camera)
+    masks = [rng.random((110, 150)) < share for share in (0.4, 0.9)]
+    some = rng.random(view.tiles.shape) < 0.6
+    here = pixels_of(some, 110, 150)
+    sums = view.pair_mask_sums(masks[0] ^ here, masks[1] & ~here)
+    view.sum_again(sums, *masks, some)
+    for one, expected in zip(view.reduced_masks(sums), view.mask_sums(*masks), strict=True):
+        for name in ("weight", "alpha", "peak"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(expected, name), name)
+    before = sums.copy()
+    view.sum_again(sums, masks[1], masks[0], np.zeros_like(some))
+    np.testing.assert_array_equal(sums, before)
+
+
 def test_a_hidden_gaussian_has_alpha_but_no_weight():
     splats, camera = opaque_stack(), cameras(32, 32)[0]
     view = project(splats, camera)

@@ -330,7 +330,8 @@ def mapped_view(
         drawn[:] = False
         drawn[seen.ys, seen.xs] = True
         everywhere = (slice(None), slice(None))  # samples are filled in beyond what is drawn
-        clear = clear_pixels(asset.splats, view, NearSurface.of(seen.visible, drawn), drawn, everywhere)
+        near, ones = NearSurface.of(seen.visible, drawn), np.ones(drawn.shape, bool)
+        clear = clear_pixels(asset.splats, view, ones, view.mask_sums(drawn, ones), near, drawn, everywhere)
     # The place of every pixel on the decal.
     coordinates, nearest = samples.at(points, normals)
     if patch.smoothing:

@@ -30,7 +30,7 @@ def by_blocks(function: Callable[[slice], Result], count: int) -> list[Result]:
 
 def taken(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """`values.take(ids)` by all threads. values: [N]; ids: [M] int64, all of them of entries that there are."""
-    out = np.empty(len(ids), values.dtype)
+    out = aligned((len(ids),), values.dtype)
     by_blocks(lambda block: values.take(ids[block], out=out[block], mode="clip"), len(ids))
     return out
 

@@ -19,7 +19,7 @@ from splatpainter.lift.local.gaussian_merging import merge
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LocalOptions
-from splatpainter.rendering.cpu.projected_view import TILE, ProjectedView, project
+from splatpainter.rendering.cpu.projected_view import ProjectedView, pixels_of_tiles, project
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 from splatpainter.transforms import row_max
@@ -250,5 +250,5 @@ class Patch:
 
 def _is_solid(view: ProjectedView, alpha: np.ndarray) -> Bools:
     """[H, W] bool: drawn pixels of alpha [H, W] that a detail layer may cover."""
-    drawn = np.kron(view.tiles, np.ones((TILE, TILE), bool))[: alpha.shape[0], : alpha.shape[1]]
+    drawn = pixels_of_tiles(view.tiles, alpha.shape)
     return (alpha > PATCHING.min_detail_alpha) & ~dilated((alpha < 0.5) & drawn, PATCHING.silhouette_margin_px)

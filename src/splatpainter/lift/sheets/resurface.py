@@ -32,7 +32,14 @@ from splatpainter.lift.sheets.near_surface import FAR_BEHIND, TOUCHES, NearSurfa
 from splatpainter.lift.sheets.pieces import Pieces, joined_view
 from splatpainter.lift.sheets.sheet import SHEET, Cells, SheetGeometry, flat_cells, sheet_geometry
 from splatpainter.lift.sheets.sparse_edit import SparseEdit
-from splatpainter.rendering.cpu.projected_view import ProjectedView, copy_tiles, project, tiles_of_mask
+from splatpainter.rendering.cpu.projected_view import (
+    MaskSums,
+    ProjectedView,
+    copy_tiles,
+    pixels_of_tiles,
+    project,
+    tiles_of_mask,
+)
 from splatpainter.rendering.cpu.sirt import sirt_steps
 from splatpainter.splats import ATTRIBUTES, Splats, float_bits
 from splatpainter.surface.visible import VisibleSurface, depths_along
@@ -152,7 +159,9 @@ def lay_sheet(
     # ... whose light comes from Gaussians that the sheet can replace.
     near = NearSurface.of(visible, covered)
     window = window_around(covered, RESURFACING.clear_radius_px)  # of the whole picture: most sheets are small
-    clear = clear_pixels(splats, view, near, covered, window)
+    here = pixels_of_tiles(view.tiles, covered.shape)
+    sums, summed = around.pair_mask_sums(covered, here), covered
+    clear = clear_pixels(splats, around, here, around.reduced_masks(sums), near, covered, window)
     clear &= covered
     if clear.sum() < RESURFACING.min_clear * covered.sum():
         return None
@@ -170,8 +179,12 @@ def lay_sheet(
         at = np.flatnonzero(fringe)
         depth.ravel()[at] = surface.at_centers(at).depth
     near = NearSurface.of(surface, covered) if near is None else near
-    # Which Gaussians lie under it, and by which share of their footprint, which may reach out of the view's tiles.
-    under, everywhere = around.mask_sums(covered, np.ones(covered.shape, bool))
+    # Which Gaussians lie under it, and by which share of their footprint, which may reach out of the view's tiles. What
+    # was summed for clear pixels is so still but in these, and where the sheet is another by now.
+    fresh = tiles_of_mask(covered != summed) | (around.tiles & ~view.tiles)
+    around.sum_again(sums, covered, np.ones(covered.shape, bool), fresh)
+    under, everywhere = around.reduced_masks(sums)
+    del sums
     tiles = around.touched_tiles(under.alpha > 0) | tiles_of_mask(pixels)
     share, seen = np.zeros(len(splats), under.alpha.dtype), np.zeros(len(splats), bool)
     share[around.gaussian_ids] = under.alpha / np.maximum(everywhere.alpha, 1e-9)
@@ -233,14 +246,20 @@ def without_islands(mask: np.ndarray) -> Bools:
 
 
 def clear_pixels(
-    splats: Splats, view: ProjectedView, near: NearSurface, covered: np.ndarray, window: tuple[slice, slice]
+    splats: Splats,
+    view: ProjectedView,
+    asked: Bools,
+    mask_sums: tuple[MaskSums, MaskSums],
+    near: NearSurface,
+    covered: np.ndarray,
+    window: tuple[slice, slice],
 ) -> np.ndarray:
     """[H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
     surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a veil
-    would stay before the sheet. window: rows and columns of the pixels that are asked for, and of those within
-    RESURFACING.clear_radius_px around them; others are not clear."""
-    ids = view.gaussian_ids
-    sums, everywhere = view.mask_sums(covered, np.ones(covered.shape, bool))
+    would stay before the sheet. asked: [H, W] bool, of the view's pixels only these are looked at; mask_sums: of
+    `covered`, and of these; window: rows and columns of the pixels that may be clear, and of those within
+    RESURFACING.clear_radius_px around them."""
+    ids, (sums, everywhere) = view.gaussian_ids, mask_sums
     handled = sums.weight > 0
     reached = np.flatnonzero(handled)
     share = sums.alpha.take(reached) / np.maximum(everywhere.alpha.take(reached), 1e-9)
@@ -258,6 +277,7 @@ def clear_pixels(
     image, alpha = image[window], alpha[window]
     weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
     light = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
+    light &= asked[window]
     clear[window] = box_mean(light.astype(np.float32), RESURFACING.clear_radius_px) > 0.5
     return clear
 

@@ -217,8 +217,8 @@ class ProjectedView:
             selected[left_out[left_out >= 0]] = False
         at, part = self._lists_of(tiles, selected)
         m, dtype = len(at) + len(other), self.projected.dtype
-        entry, entry2 = np.empty(len(at), np.int32), np.empty(len(other), np.int32)
-        pair_offsets = np.empty(m + 1, np.int64)
+        entry, entry2 = aligned((len(at),), INT32), aligned((len(other),), INT32)
+        pair_offsets = aligned((m + 1,), INT64)
         first_entries = (self.projected, self.gaussian_ids, at, part.pair_offsets)
         other_entries = (other.projected, other.gaussian_ids if ties is None else ties, other.pair_offsets)
         kernels.merge_entries(*first_entries, *other_entries, entry, entry2, pair_offsets, 0, 1)
@@ -339,10 +339,24 @@ class ProjectedView:
 
     def mask_sums(self, mask: np.ndarray, mask2: np.ndarray) -> tuple[MaskSums, MaskSums]:
         """`backproject` for two masks ([H, W] bool, or weights m_p >= 0), without values, in the time of one."""
-        dtype = self.projected.dtype
-        sums, out = aligned((len(self.flatten_ids), SUMS), dtype), np.empty((len(self), 6), dtype)
-        masks = [readonly(one, dtype) for one in (mask, mask2)]
+        return self.reduced_masks(self.pair_mask_sums(mask, mask2))
+
+    def pair_mask_sums(self, mask: np.ndarray, mask2: np.ndarray) -> np.ndarray:
+        """[P, 8] what `mask_sums` adds up, of each pair of a Gaussian and a tile."""
+        sums = aligned((len(self.flatten_ids), SUMS), self.projected.dtype)
+        masks = [readonly(one, sums.dtype) for one in (mask, mask2)]
         run(kernels.mask_sums_tiles, *self.tile_lists(self.projected), *masks, sums)
+        return sums
+
+    def sum_again(self, sums: np.ndarray, mask: np.ndarray, mask2: np.ndarray, tiles: Bools) -> None:
+        """Write `pair_mask_sums` of some drawn tiles ([TH, TW] bool) to those of all."""
+        if (tiles & self.tiles).any():
+            masks = [readonly(one, sums.dtype) for one in (mask, mask2)]
+            run(kernels.mask_sums_tiles, *self._lists_in(tiles), *masks, sums)
+
+    def reduced_masks(self, sums: np.ndarray) -> tuple[MaskSums, MaskSums]:
+        """`mask_sums` from what it adds up."""
+        out = aligned((len(self), 6), sums.dtype)
         run_sized(sums.size, kernels.reduce_mask_sums, self.pair_offsets, sums, out)
         return MaskSums(out[:, 3], out[:, 4], out[:, 5]), MaskSums(out[:, 0], out[:, 1], out[:, 2])
 
@@ -419,12 +433,20 @@ class ProjectedView:
 
     def _with_tiles(self, tiles: np.ndarray) -> ProjectedView:
         """This view for rasterizing some drawn tiles alone: all Gaussians, in no pairs."""
+        _, flatten_ids, _, tile_ids, offsets = self._lists_in(tiles)
+        lists = {"flatten_ids": flatten_ids, "pair_ids": self.pair_ids[:0]}
+        return replace(self, tiles=tiles, tile_ids=tile_ids, isect_offsets=offsets, **lists)
+
+    def _lists_in(self, tiles: Bools) -> tuple[np.ndarray, ...]:
+        """`tile_lists` of some drawn tiles alone."""
         used = tiles.ravel()[self.tile_ids]
-        spans = zip(self.isect_offsets[:-1][used], self.isect_offsets[1:][used], strict=True)
-        entries = [self.flatten_ids[begin:end] for begin, end in spans]
-        offsets = np.cumsum([0, *map(len, entries)])
-        lists = {"flatten_ids": np.concatenate([self.flatten_ids[:0], *entries]), "pair_ids": self.pair_ids[:0]}
-        return replace(self, tiles=tiles, tile_ids=self.tile_ids[used], isect_offsets=offsets, **lists)
+        spans = list(zip(self.isect_offsets[:-1][used], self.isect_offsets[1:][used], strict=True))
+        offsets = np.cumsum([0, *(end - begin for begin, end in spans)])
+        lists = [
+            np.concatenate([pairs[:0], *(pairs[begin:end] for begin, end in spans)])
+            for pairs in (self.flatten_ids, self.pair_ids)
+        ]
+        return self.projected, *lists, self.tile_ids[used], offsets
 
     def tile_lists(self, projected: np.ndarray) -> tuple[np.ndarray, ...]:
         """What every kernel over pairs begins with."""
@@ -443,7 +465,7 @@ class ProjectedView:
         return readonly(values, self.projected.dtype), readonly(mask, self.projected.dtype)
 
     def _reduce(self, sums: np.ndarray) -> np.ndarray:
-        out = np.empty((len(self), 6), sums.dtype)
+        out = aligned((len(self), 6), sums.dtype)
         run_sized(sums.size, kernels.reduce_pairs, self.pair_offsets, sums, out)
         return out
 
@@ -461,6 +483,11 @@ def tiles_of_mask(mask: np.ndarray) -> Bools:
     # Rows first, then eight pixels at a time as one number.
     lines = np.logical_or.reduce(padded.reshape(-1, TILE, padded.shape[1]), 1).view(np.uint64)
     return (lines[:, ::2] | lines[:, 1::2]) != 0
+
+
+def pixels_of_tiles(tiles: Bools, shape: tuple[int, ...]) -> Bools:
+    """[H, W] bool: the pixels of some tiles ([TH, TW] bool) of a picture."""
+    return np.kron(tiles, np.ones((TILE, TILE), bool))[: shape[0], : shape[1]]
 
 
 def copy_tiles(picture: np.ndarray, other: np.ndarray, tiles: Bools) -> None:

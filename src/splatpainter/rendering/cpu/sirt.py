@@ -16,7 +16,7 @@ from splatpainter.kernels.arrays import aligned, readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run, run_sized
 from splatpainter.rendering.cpu.geometry import COLUMNS, SUMS
-from splatpainter.rendering.cpu.projected_view import ProjectedView
+from splatpainter.rendering.cpu.projected_view import INT32, INT64, ProjectedView
 from splatpainter.system.quick_dataclass import dataclass
 
 MAX_CACHED_BLOCKS = 1 << 20
@@ -109,9 +109,9 @@ def pairs_of(view: ProjectedView, chosen: Bools) -> tuple[np.ndarray, ...]:
     where those of each tile begin, [Q] which of the chosen ones each is of, [Q] its place among the pairs in the order
     of these, [C + 1] where the pairs of each begin)."""
     count, total = len(view.flatten_ids), np.empty(1, np.int64)
-    pairs, entries, pair_ids = np.empty((3, count), np.int64)
+    pairs, entries, pair_ids = aligned((3, count), INT64)
     begins, pair_offsets = np.empty(len(view.isect_offsets), np.int64), np.empty(int(chosen.sum()) + 1, np.int64)
-    lists = (view.flatten_ids, view.isect_offsets, readonly(chosen, np.bool_), np.empty(len(chosen), np.int32))
+    lists = (view.flatten_ids, view.isect_offsets, readonly(chosen, np.bool_), aligned((len(chosen),), INT32))
     kernels.list_chosen_pairs(*lists, pairs, begins, entries, pair_ids, pair_offsets, total, 0, 1)
     some = slice(int(total[0]))
     return pairs[some], begins, entries[some], pair_ids[some], pair_offsets
@@ -122,7 +122,7 @@ def _step_sums(
 ) -> np.ndarray:
     """[C, 6]: residuals by weight (3), weights, two unused."""
     dtype = remainder.dtype
-    sums, out = aligned((num_pairs, SUMS), dtype), np.empty((len(colors), 6), dtype)
+    sums, out = aligned((num_pairs, SUMS), dtype), aligned((len(colors), 6), dtype)
     run_sized(
         lists[-1].size + remainder.size, kernels.cached_step_tiles, *lists, remainder, readonly(colors, dtype), sums
     )
