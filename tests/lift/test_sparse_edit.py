@@ -9,7 +9,7 @@ import pytest
 
 from splatpainter.lift.local.split import Lattice
 from splatpainter.lift.sheets.pieces import Pieces, joined_view
-from splatpainter.lift.sheets.sparse_edit import SparseEdit
+from splatpainter.lift.sheets.sparse_edit import EditedGaussians, SparseEdit
 from splatpainter.rendering.cpu.projected_view import project, tile_shape
 from splatpainter.splats import ATTRIBUTES, Splats
 from tests.support.lift_scenes import bits, differing, front, same_bits
@@ -38,7 +38,58 @@ def test_an_edit_writes_empties_and_appends():
     np.testing.assert_array_equal(np.asarray(after.origin)[-3:], [29, 3, 9])
     edit = SparseEdit(ids, other.take(ids), emptied, tail, np.array([3, 9]))
     np.testing.assert_array_equal(edit.touched(splats), [2, 3, 7, 20])  # 9 was empty before
-    assert same_bits(SparseEdit.of(after, edit.touched(splats), np.array([3, 9])).apply(splats), after)
+    some = np.array([31, 3, 9, 0, 7, 30, 20])
+    assert same_bits(edit.take(splats, some), after.take(some))
+    np.testing.assert_array_equal(edit.take(splats, some).origin, after.take(some).origin)
+
+
+def edits_in_turn(splats: Splats, seed: int) -> tuple[SparseEdit, SparseEdit]:
+    """An edit, and one of the Gaussians that it makes, some of which it wrote, emptied or appended."""
+    rng, count = np.random.default_rng(seed), len(splats)
+    some = rng.permutation(count)
+    ids, emptied = np.sort(some[:30]), np.sort(some[30:45])
+    tail = replace(numbered(12, seed + 1), origin=rng.integers(-1, count, 12))
+    first = SparseEdit(ids, numbered(30, seed + 2), emptied, tail, rng.integers(0, count, 12))
+    after = first.apply(splats)
+    again = np.sort(np.concatenate([ids[::3], emptied[::3], some[45:60], count + np.arange(0, 12, 4)]))
+    values = replace(numbered(len(again), seed + 3), origin=np.asarray(after.origin)[again])
+    more = replace(numbered(7, seed + 4), origin=np.full(7, -1))
+    return first, SparseEdit(again, values, NONE, more, rng.integers(0, len(after), 7))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_edits_in_turn_are_one(seed: int):
+    splats = numbered(120, seed)
+    first, later = edits_in_turn(splats, seed + 10)
+    splats.opacities[first.emptied[:2]] = 0  # empty before
+    after = first.apply(splats)
+    both, expected = first.then(later, splats), later.apply(after)
+    assert same_bits(both.apply(splats), expected)
+    np.testing.assert_array_equal(both.apply(splats).origin, expected.origin)
+    np.testing.assert_array_equal(both.ids, np.flatnonzero(differing(splats, expected)[: len(splats)]))
+    assert not len(both.emptied)
+    ancestry = np.append(np.arange(len(splats)), first.parents)
+    np.testing.assert_array_equal(both.parents, [*first.parents, *ancestry[later.parents]])
+
+
+@pytest.mark.parametrize("share", [1.1, 0.5, 0.1])
+def test_a_view_of_edited_gaussians_is_that_of_all_projected_anew(share: float):
+    camera, splats = cameras(150, 110)[0], numbered(300, 4)
+    splats = splats.take(np.concatenate([np.arange(300), np.arange(60)]))  # some at equal depths
+    first, _ = edits_in_turn(splats, 7)
+    moved = first.values.take(np.arange(30))
+    moved.means[:10] = splats.means[first.ids[:10]]  # and some of the edit's own
+    edited = EditedGaussians(splats, replace(first, values=moved), project(splats, camera))
+    after = edited.edit.apply(splats)
+    tiles = np.random.default_rng(2).random(tile_shape(camera)) < share
+    view, anew = edited.view(tiles), project(after, camera, tiles=tiles)
+    assert view.num_gaussians == len(edited) == len(after) and len(view) > 20
+    lists = ("gaussian_ids", "pair_offsets", "flatten_ids", "pair_ids", "tile_ids", "isect_offsets")
+    for name in ("projected", "tiles", *lists):
+        np.testing.assert_array_equal(getattr(view, name), getattr(anew, name))
+    ids = np.array([len(after) - 1, 0, int(first.ids[3]), int(first.emptied[2])])
+    assert same_bits(edited.take(ids), after.take(ids))
+    assert same_bits(edited.geometry(ids), after.geometry(ids))
 
 
 def test_arrays_in_which_nothing_changes_are_shared():

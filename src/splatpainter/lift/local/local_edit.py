@@ -14,7 +14,7 @@ from splatpainter.cameras import Camera
 from splatpainter.lift.local.patch import MIN_PIXEL_SHARE, PATCHING, Patch
 from splatpainter.lift.local.split import Lattice, projected_sizes
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
-from splatpainter.lift.sheets.sparse_edit import SparseEdit
+from splatpainter.lift.sheets.sparse_edit import EditedGaussians, SparseEdit
 from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import drawn_view
 from splatpainter.splats import ATTRIBUTES, Splats
@@ -97,6 +97,19 @@ def lift_local(
     target: [H, W, 3] float32 0..1; mask: [H, W] bool; allowed: [N] bool Gaussians that may change (default: all);
     within: [TH, TW] bool tiles of which nothing beyond is looked at.
     Raises NothingPaintableError when no Gaussian contributes to the masked pixels."""
+    return _applied(local_edit(splats, camera, target, mask, options, allowed, within), splats)
+
+
+def local_edit(
+    splats: Splats | EditedGaussians,
+    camera: Camera,
+    target: Floats,
+    mask: Bools,
+    options: LocalOptions = LOCAL_DEFAULTS,
+    allowed: Bools | None = None,
+    within: Bools | None = None,
+) -> SparseEdit:
+    """`lift_local` as what it changes; of edited Gaussians, one more edit of these."""
     # The Gaussians in work are few; they are taken out, edited as a patch, and put back at the end.
     ids, before, patch = _split_patch(splats, camera, target, mask, options, allowed, within)
     # Detail finer than the asset in a whole picture is right in this view alone: the split is taken back.
@@ -117,11 +130,20 @@ def split_local(
     """The Gaussians over which the masked change varies, split for it; the picture hardly changes. Arguments and errors
     as of `lift_local`."""
     ids, _, patch = _split_patch(splats, camera, target, mask, options)
-    return _assemble(splats, ids, patch.splats, patch.lattice, None)
+    return _applied(_assemble(splats, ids, patch.splats, patch.lattice, None), splats)
+
+
+def _applied(edit: SparseEdit, splats: Splats) -> LocalLift:
+    return LocalLift(edit.apply(splats), edit.ids, edit.parents)
+
+
+def _view(splats: Splats | EditedGaussians, camera: Camera, tiles: Bools) -> ProjectedView:
+    """Some tiles of a view."""
+    return splats.view(tiles) if isinstance(splats, EditedGaussians) else project(splats, camera, tiles=tiles)
 
 
 def _split_patch(
-    splats: Splats,
+    splats: Splats | EditedGaussians,
     camera: Camera,
     target: np.ndarray,
     mask: np.ndarray,
@@ -131,13 +153,13 @@ def _split_patch(
 ) -> tuple[np.ndarray, Patch, Patch]:
     """([S] int64 the Gaussians in work, them as they are, them split)."""
     # First the mask's own tiles say who makes its pixels, then all tiles that those touch are in work.
-    view = project(splats, camera, tiles=tiles_of_mask(mask))
+    view = _view(splats, camera, tiles_of_mask(mask))
     sums = view.mask_sums(mask, np.ones(mask.shape, bool))
-    reached = gaussians_in_mask(splats, camera, mask, allowed, view, sums[0])
+    reached = _reached(view, sums[0], allowed)
     editable = reached & ~_hopeless(splats, view, sums, reached, options)
     tiles = view.touched_tiles(editable[view.gaussian_ids])  # all of them make masked pixels
     tiles = tiles if within is None else tiles & within
-    view = project(splats, camera, tiles=tiles)
+    view = _view(splats, camera, tiles)
     ids = np.sort(view.gaussian_ids)
     # The view of these alone is the same but for their numbers.
     part = replace(view, gaussian_ids=np.searchsorted(ids, view.gaussian_ids), num_gaussians=len(ids))
@@ -163,7 +185,11 @@ def gaussians_in_mask(
     that count; view: the splats projected onto the mask's tiles, sums: how much of each the masked pixels show there,
     if at hand. Raises NothingPaintableError where there is none."""
     view = view or project(splats, camera, tiles=tiles_of_mask(mask))
-    sums = sums or view.mask_sums(mask, mask)[0]
+    return _reached(view, sums or view.mask_sums(mask, mask)[0], allowed)
+
+
+def _reached(view: ProjectedView, sums: MaskSums, allowed: Bools | None) -> Bools:
+    """`gaussians_in_mask` of a view of the mask's tiles."""
     reached = np.zeros(view.num_gaussians, bool)
     # Both are needed: one bright pixel (peak), and not only a shimmer through the surface (visible share).
     reached[view.gaussian_ids[(sums.peak > MIN_PIXEL_SHARE) & (sums.weight > MIN_VISIBLE_SHARE * sums.alpha)]] = True
@@ -175,7 +201,11 @@ def gaussians_in_mask(
 
 
 def _hopeless(
-    splats: Splats, view: ProjectedView, sums: tuple[MaskSums, MaskSums], reached: np.ndarray, options: LocalOptions
+    splats: Splats | EditedGaussians,
+    view: ProjectedView,
+    sums: tuple[MaskSums, MaskSums],
+    reached: np.ndarray,
+    options: LocalOptions,
 ) -> Bools:
     """[N] bool: reached Gaussians that would be held back in the end (large, too faint to split, mostly outside the
     mask), as far as the mask's tiles can say. Without them less of the picture is in work. sums: how much of each in
@@ -196,17 +226,21 @@ def _hopeless(
 
 
 def _assemble(
-    splats: Splats, ids: np.ndarray, new: Splats, lattice: Lattice, detail: tuple[Splats, np.ndarray] | None
-) -> LocalLift:
+    splats: Splats | EditedGaussians,
+    ids: np.ndarray,
+    new: Splats,
+    lattice: Lattice,
+    detail: tuple[Splats, np.ndarray] | None,
+) -> SparseEdit:
     """Put a patch of the Gaussians `ids` back: `new`, as the lattice has it, slots at the indices of their parents, the
     others appended, then the detail layer."""
     # Slots first: each old index keeps a child of its own Gaussian.
     targets = ids[lattice.parent[lattice.slot]]  # [B] what the slots replace
-    slots = new.take(np.flatnonzero(lattice.slot))
+    slots, before = new.take(np.flatnonzero(lattice.slot)), splats.take(targets)
     # A slot whose values are equal is not written: the receipt counts it as untouched.
     changed = np.zeros(len(targets), bool)
     for name in ATTRIBUTES:
-        differs = getattr(slots, name) != getattr(splats, name)[targets]
+        differs = getattr(slots, name) != getattr(before, name)
         changed |= differs.reshape(len(targets), -1).any(1)
     # New ones go last, in the order of the patch, then the detail layer.
     added = np.flatnonzero(~lattice.slot)
@@ -214,8 +248,7 @@ def _assemble(
     if detail is not None:
         appended = appended.append(detail[0])
         parents = np.concatenate([parents, ids[lattice.parent[detail[1]]]])
-    if splats.origin is not None and appended.source is not splats.source:
+    if before.origin is not None and appended.source is not before.source:
         appended = replace(appended, origin=np.full(len(appended), -1, np.int64))
     order = np.flatnonzero(changed)[np.argsort(targets[changed], kind="stable")]
-    edit = SparseEdit(targets[order], slots.take(order), np.zeros(0, np.int64), appended, parents)
-    return LocalLift(edit.apply(splats), edit.ids, parents)
+    return SparseEdit(targets[order], slots.take(order), np.zeros(0, np.int64), appended, parents)

@@ -11,6 +11,7 @@ import numpy as np
 
 from splatpainter.array_types import Bools, Floats, Ids
 from splatpainter.cameras import Camera
+from splatpainter.kernels.arrays import aligned
 from splatpainter.kernels.rows import take, taken
 from splatpainter.lift.colors import MIN_CHANGE, colors_towards
 from splatpainter.lift.local import correction
@@ -21,14 +22,14 @@ from splatpainter.lift.local.local_edit import (
     gaussians_in_mask,
     is_wide,
     lift_local,
+    local_edit,
 )
 from splatpainter.lift.masks import dilated
 from splatpainter.lift.options import LOCAL_DEFAULTS, LocalOptions
 from splatpainter.lift.sheets.resurface import RESURFACING, RING_PX, lay_sheet, resurface
 from splatpainter.lift.sheets.rounding import rounded
-from splatpainter.lift.sheets.sparse_edit import SparseEdit
+from splatpainter.lift.sheets.sparse_edit import EditedGaussians, SparseEdit
 from splatpainter.lift.sheets.view_limits import paintable
-from splatpainter.order_statistics import distinct
 from splatpainter.rendering.cpu.projected_view import MaskSums, ProjectedView, copy_tiles, project, tiles_of_mask
 from splatpainter.rendering.cpu.recent_views import DrawnView, recent_drawing, recent_view
 from splatpainter.rendering.cpu.sirt import sirt_steps
@@ -121,7 +122,7 @@ def paint_view(
         around = project(splats, camera, tiles=tiles) if view is None else view.part(tiles=tiles)
         around = around.part() if around.tiles.all() else around  # without those that only might touch a tile
     # Renumber the Gaussians in work, so that the steps below cost what they touch, not what the asset has.
-    present, number = np.zeros(len(splats), bool), np.empty(len(splats), np.int64)
+    present, number = np.zeros(len(splats), bool), aligned((len(splats),), np.dtype(np.int64))
     present[around.gaussian_ids] = True
     ids = np.flatnonzero(present)
     number[ids] = np.arange(len(ids))
@@ -229,8 +230,7 @@ def _paint_part(
             )
     # No trusted surface anywhere: split, as captures' fog needs.
     if sheet is None:
-        lifted = lift_local(splats, camera, target, painted, options, may)
-        edit = SparseEdit.of(lifted.splats, lifted.touched, lifted.parents)
+        edit = local_edit(splats, camera, target, painted, options, may)
         if options.correct:
             edit = _corrected(splats, edit, around, (before, alpha, depth), drawn_tiles, (at, paint))
         return _PaintedPart(edit, none, none, limited, on_surface)
@@ -239,7 +239,7 @@ def _paint_part(
     left = painted & ~sheet.covered
     if left.sum() > options.max_left_px:
         target = _target(view, before, at, paint)
-        result = _then_split(splats, result, camera, target, left, options, may, around.tiles)
+        result = _then_split(splats, result, around, target, left, options, may)
     return result
 
 
@@ -362,26 +362,23 @@ def _tiles_at_work(view: ProjectedView, sums: MaskSums) -> Bools:
 def _then_split(
     splats: Splats,
     first: _PaintedPart,
-    camera: Camera,
+    around: ProjectedView,
     target: np.ndarray,
     mask: np.ndarray,
     options: LocalOptions,
     allowed: Bools,
-    tiles: Bools,
 ) -> _PaintedPart:
     """The pixels that have no sheet, by splitting; those that no Gaussian makes stay as they are. allowed: [N] bool
-    Gaussians that may be split, beside the new ones; tiles: [TH, TW] bool, nothing beyond them is looked at."""
-    edit, count = first.edit, len(splats)
-    may = np.append(allowed, np.ones(len(edit.parents), bool))
+    Gaussians that may be split, beside the new ones; around: of the splats, nothing beyond its tiles is looked at."""
+    # A few pixels at the outline as a rule: they cost what lies in their tiles, not what the sheet lies in.
+    edited = EditedGaussians(splats, first.edit, around)
+    may = np.append(allowed, np.ones(len(first.edit.parents), bool))
     try:
-        lifted = lift_local(edit.apply(splats), camera, target, mask, options, may, tiles)
+        later = local_edit(edited, around.camera, target, mask, options, may, around.tiles)
     except NothingPaintableError:
         return first
     # Splitting may have written an index that the sheet had emptied, or one of the sheet's own.
-    touched = lifted.touched[lifted.touched < count]
-    # A Gaussian that the sheet appended has its own parent among the asset's.
-    ancestry = np.append(np.arange(count), edit.parents)
-    parents = np.concatenate([edit.parents, ancestry[lifted.parents]])
-    removed = first.removed[lifted.splats.opacities[first.removed] == 0]
-    edit = SparseEdit.of(lifted.splats, distinct(np.concatenate([edit.touched(splats), touched])), parents)
+    edit = first.edit.then(later, splats)
+    shown = later.ids[later.values.opacities != 0]
+    removed = first.removed[~np.isin(first.removed, shown, assume_unique=True)]
     return replace(first, edit=edit, removed=removed)
