@@ -200,6 +200,34 @@ def test_start_up_loads_nothing_heavy(words: str) -> None:
     assert len(loaded) < 600
 
 
+STROKE = """
+import sys
+import numpy as np
+import splatpainter.server.hub
+from splatpainter.cameras import look_at
+from splatpainter.painter import Edit
+from splatpainter.server.strokes.stroke import Stroke
+from splatpainter.session import Session
+from tests.support.surface_shapes import sphere
+
+session, camera = Session(sphere(2000, 0.6)), look_at((0, 0, 3), (0, 0, 0), width=64, height=64)
+stroke = Stroke(camera, session=session)
+stroke.prepare(session.splats, session.original, 1)
+session.surface.prepare(camera)
+stroke.patch(26, 26, 10, 10, np.full((10, 10, 4), 200, np.uint8).tobytes())
+stroke.preview(session.splats, session.original, 1, (26, 26, 36, 36))
+before = set(sys.modules)
+session.layers.add("paint", [Edit(stroke.picture(session.splats, session.original, 1), camera, stroke.mask)])
+print(*(set(sys.modules) - before))
+"""
+
+
+def test_the_first_stroke_waits_for_no_module() -> None:
+    """What it needs was imported when it began."""
+    done = subprocess.run([sys.executable, "-c", STROKE], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.split() == []
+
+
 def test_no_file_is_longer_than_a_reader_can_hold() -> None:
     files = [*modules().values(), *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks" / "tests").rglob("*.py")]
     files += (ROOT / "train" / "tests").rglob("*.py")
