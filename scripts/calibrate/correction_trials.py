@@ -229,7 +229,7 @@ def lifted_gaussians(asset: Splats, lifted: LiftedEdit, view: EditView) -> Lifte
     before = colors_towards(project(asset, camera), asset, parents[ids])
     fresh = (ids >= len(asset)) | np.isin(ids, lifted.replaced)
     towards = facing(splats, ids, camera)
-    return LiftedGaussians(seen, entries, towards, sums, seen.colors[entries], before, fresh, pictures)
+    return LiftedGaussians(seen, entries, towards, sums.take(entries), seen.colors[entries], before, fresh, pictures)
 
 
 def quadratic(splats: Splats, ids: np.ndarray, views: Sequence[tuple[Camera, np.ndarray, np.ndarray]]) -> Form:

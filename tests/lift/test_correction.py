@@ -126,7 +126,8 @@ def painted_sheet(degree: int = 1) -> LiftedGaussians:
     colors = 0.5 * view.colors[entries] + np.array([0.4, 0.05, 0.05], np.float32)
     before, fresh = colors_towards(view, splats, ids), np.arange(len(ids)) % 3 == 0
     pictures = PaintedPictures(target, mask, alpha, depth)
-    return LiftedGaussians(view, entries, correction.facing(splats, ids, camera), sums, colors, before, fresh, pictures)
+    towards = correction.facing(splats, ids, camera)
+    return LiftedGaussians(view, entries, towards, sums.take(entries), colors, before, fresh, pictures)
 
 
 def test_facts_are_what_the_view_shows():
@@ -146,7 +147,7 @@ def test_facts_are_what_the_view_shows():
         assert values[j, 2] == pytest.approx(cosine, abs=1e-5)
         z, pixel = view.depths[entry], view.depths[entry] / camera.fy
         assert values[j, 3] == pytest.approx(np.clip((z - pictures.depth[v, u]) / pixel / 8, -1, 1), abs=1e-4)
-        visible, footprint = painted.visible[j], 2 * math.pi * view.opacities[entry] / math.sqrt(a * c - b * b)
+        visible, footprint = painted.sums.weight[j], 2 * math.pi * view.opacities[entry] / math.sqrt(a * c - b * b)
         assert values[j, 6] == pytest.approx(min(visible / footprint, 1), rel=1e-4)
         assert values[j, 8] == pytest.approx(math.log(visible + 0.01) / 5, abs=1e-4)
         assert values[j, 9] == pictures.mask[v, u]

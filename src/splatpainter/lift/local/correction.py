@@ -100,7 +100,7 @@ class LiftedGaussians:
     facing: Floats = field(repr=False)
     """[J] of `facing`."""
     sums: MaskSums = field(repr=False)
-    """How much of each entry of the view its pixels show."""
+    """How much of each the view's pixels show."""
     colors: Floats = field(repr=False)
     """[J, 3] towards the view, by the lift."""
     before: Floats = field(repr=False)
@@ -115,21 +115,16 @@ class LiftedGaussians:
         change[self.view.opacities[self.entries] <= MIN_OPACITY] = 0
         return _held(self.colors, self.colors + change, steps, self.hold())
 
-    @property
-    def visible(self) -> Floats:
-        """[J] pixels' worth of each that the view shows."""
-        return self.sums.weight[self.entries]
-
     def hold(self) -> Floats:
         """[J] float32 pixels' worth of weight that the correction has in the steps."""
-        hidden = np.maximum(footprints(self.view)[self.entries] - self.visible, 0)
+        hidden = np.maximum(footprints(self.view)[self.entries] - self.sums.weight, 0)
         return (HOLD + HOLD * hidden).astype(np.float32)
 
     def facts(self) -> tuple[Floats, Floats]:
         """([J, FACTS] float32, [J, COLORS, 3] float32 what the colours at hand differ by from theirs)."""
         view, at, (height, width) = self.view, self.entries, self.pictures.mask.shape
         target, alpha, depth = self.pictures.target, self.pictures.alpha, self.pictures.depth
-        visible, peak, alpha_sum = (values[at] for values in (self.sums.weight, self.sums.peak, self.sums.alpha))
+        visible, peak, alpha_sum = self.sums.weight, self.sums.peak, self.sums.alpha
         footprint = footprints(view)[at]
 
         # Where each lies in the view, and how it faces it.
@@ -144,19 +139,27 @@ class LiftedGaussians:
 
         # The picture around that place, in a window of it.
         rows, columns = _window(view.tiles)
-        part = np.ascontiguousarray(target[rows, columns], np.float32)
+        part = np.asarray(target[rows, columns], np.float32)
         surface, paint = solid[rows, columns], self.pictures.mask[rows, columns]
         v, u = y - rows.start, x - columns.start
-        over_it, mask = part[v, u], paint.astype(np.float32)
-        (close, _), (wide, surface_share) = (_mean_around(part, surface, v, u, radius) for radius in AROUND_PX)
+        # Each colour goes to its place at once: here an edit needs the most memory.
+        colors = np.empty((len(at), COLORS, 3), np.float32)
+        colors[:, 0], mask = part[v, u], paint.astype(np.float32)
+        for k, radius in enumerate(AROUND_PX, 1):
+            colors[:, k], surface_share = _mean_around(part, surface, v, u, radius)
         of_paint, share = _mean_around(part, surface & paint, v, u, PAINT_PX)
-        of_paint = np.where((share > 1e-4)[:, None], of_paint, wide)
+        colors[:, 3] = np.where((share > 1e-4)[:, None], of_paint, colors[:, 2])
+        del of_paint, share
+        colors[:, 4] = self.before
+        colors -= self.colors[:, None]
         near = [box_mean(mask, radius)[v, u] for radius in (AROUND_PX[0], PAINT_PX)]
         # How busy the picture is there, and how steep the surface.
         detail = box_mean(contrast(part), AROUND_PX[1])[v, u]
         slope = box_mean(_steps(depth[rows, columns], surface), AROUND_PX[1])[v, u] / pixel
+        painted, covered = mask[v, u], alpha[y, x]
+        del mask, part, surface, paint, solid, v, u, x, y
 
-        # In double precision one by one, not all at once: here an edit needs the most memory.
+        # In double precision one by one, not all at once.
         log, numbers = portable.log, iter(range(FACTS))
         facts = np.empty((len(at), FACTS), np.float32)
 
@@ -167,12 +170,9 @@ class LiftedGaussians:
         put(*(log(np.clip(w, 1e-2, 1e3)) / 4 for w in widths))
         put(self.facing, behind, 2 * opacities - 1, log(peak + np.float32(1e-3)) / 5)
         put(np.minimum(visible / np.maximum(footprint, 1e-6), 1), visible / np.maximum(alpha_sum, 1e-6))
-        put(log(visible + np.float32(VISIBLE_MARGIN)) / 5, mask[v, u], *near, alpha[y, x])
+        put(log(visible + np.float32(VISIBLE_MARGIN)) / 5, painted, *near, covered)
         put(surface_share, log(1 + slope) / 4, 4 * detail, self.fresh, outside)
-        put(row_max(np.abs(self.colors - self.before)), row_max(np.abs(self.colors - over_it)))
-        colors = np.empty((len(at), COLORS, 3), np.float32)
-        for k, at_hand in enumerate((over_it, close, wide, of_paint, self.before)):
-            colors[:, k] = at_hand - self.colors
+        put(row_max(np.abs(colors[:, 4])), row_max(np.abs(colors[:, 0])))
         return facts, colors
 
 

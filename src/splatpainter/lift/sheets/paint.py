@@ -132,9 +132,10 @@ def paint_view(
     # Where the original's Gaussians end among those in work.
     first = int(np.searchsorted(ids, originals))
     chosen, counts = take(splats, ids), (first, originals)
+    del number, present, around_it  # what is read no more goes: here an edit needs the most memory
     part = _paint_part(chosen, surface, view, around, drawn, edited, mask, in_mask, options, counts, sight)
     # The largest arrays come now: what is read no more goes.
-    del chosen, view, around, local, drawn, number, present, around_it, in_mask
+    del chosen, view, around, local, drawn, in_mask
     return _put_back(splats, ids, part, options.resurface)
 
 
@@ -284,7 +285,7 @@ def _corrected(
         view,
         entries,
         correction.facing(changed, which, view.camera),
-        view.mask_sums(mask, np.ones(mask.shape, bool))[1],
+        view.mask_sums(mask, np.ones(mask.shape, bool))[1].take(entries),
         lift,
         colors_towards(around, splats, parents[which]),
         ids[which] >= count,

@@ -411,14 +411,16 @@ def _recolored(
     # What hangs before the sheet and gives its pixels light has to take part, or the sheet would compensate for it.
     hanging = (inside.peak > RESURFACING.min_peak) & (inside.weight > RESURFACING.min_sheet_share * everywhere.weight)
     hanging &= inside.weight > RESURFACING.min_visible * inside.alpha
-    del inside  # now comes what an edit needs the most memory for
     movable = added | piece | hanging
     editable = np.flatnonzero(movable)
+    shown = everywhere.take(editable)
+    del inside, everywhere, added, piece, hanging  # now comes what an edit needs the most memory for
     goal, rounds = pictures.target, options.sheet_rounds
     weights = np.where(laid.painted, covered, RESURFACING.unedited_weight).astype(np.float32)
     steps = sirt_steps(view, goal, weights, movable) if options.correct else None
     relaxation = RESURFACING.color_step_fraction
     lifted = lift_colors(view, goal, weights, movable, rounds, relaxation=relaxation, steps=steps)
+    del weights
     if steps is not None:
         # What the picture leaves open, views from beside decide.
         numbers = ids[editable]
@@ -431,7 +433,7 @@ def _recolored(
             view,
             editable,
             facing,
-            everywhere,
+            shown,
             lifted.take(editable, 0),
             colors_towards(around, splats, parents),
             ~old[numbers],
@@ -439,7 +441,7 @@ def _recolored(
         )
         lifted[editable] = gaussians.corrected(correction.weights(), steps)
         del gaussians
-    del everywhere, steps  # what is read no more goes: here an edit needs the most memory
+    del shown, steps  # what is read no more goes
     before, lifted, ids = view.unclamped_of(editable), lifted.take(editable, 0), ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     sh = fresh.sh

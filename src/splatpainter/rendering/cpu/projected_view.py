@@ -50,6 +50,10 @@ class MaskSums:
     peak: np.ndarray
     """[M] max_p w_ip over pixels with m_p > 0."""
 
+    def take(self, entries: Ids) -> MaskSums:
+        """Those of some of the M ([K] int64), in arrays of their own."""
+        return MaskSums(*(values.take(entries) for values in (self.weight, self.alpha, self.peak)))
+
 
 @dataclass(frozen=True)
 class Backprojection(MaskSums):

@@ -108,7 +108,8 @@ def pairs_of(view: ProjectedView, chosen: Bools) -> tuple[np.ndarray, ...]:
     """Of the pairs of some entries (chosen: [M] bool, C of them): ([Q] int64 where in `flatten_ids` they stand, [T + 1]
     where those of each tile begin, [Q] which of the chosen ones each is of, [Q] its place among the pairs in the order
     of these, [C + 1] where the pairs of each begin)."""
-    count, total = len(view.flatten_ids), np.empty(1, np.int64)
+    # No more room than these take: most of what an edit moves are few of many, and their places are kept.
+    count, total = int(np.diff(view.pair_offsets)[chosen].sum()), np.empty(1, np.int64)
     pairs, entries, pair_ids = aligned((3, count), INT64)
     begins, pair_offsets = np.empty(len(view.isect_offsets), np.int64), np.empty(int(chosen.sum()) + 1, np.int64)
     lists = (view.flatten_ids, view.isect_offsets, readonly(chosen, np.bool_), aligned((len(chosen),), INT32))
