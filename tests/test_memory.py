@@ -101,3 +101,40 @@ def test_what_an_edit_frees_is_there_for_the_next():
     )
     assert learnt < 1000 < 10 * 1500 < fresh
     assert limited > 10 * 1500, "processes of one edit go on giving back"
+
+
+THREADS_IN_TURN = """
+import sys
+import threading
+from resource import RUSAGE_SELF, getrusage
+import numpy as np
+from splatpainter.system.memory import keep_freed_arrays, share_one_heap
+
+if sys.argv[1] == "shared":
+    share_one_heap()
+keep_freed_arrays()
+hold, freed = threading.Event(), threading.Semaphore(0)
+
+def work():
+    arrays = [np.ones(1 << 16) for _ in range(40)]  # 20 MiB in all, of 5,120 pages
+    del arrays
+    freed.release()
+    hold.wait()  # threads that are gone leave their heap to the next one
+
+for turn in range(6):
+    if turn == 1:
+        faults = getrusage(RUSAGE_SELF).ru_minflt
+    threading.Thread(target=work).start()
+    freed.acquire()
+print(getrusage(RUSAGE_SELF).ru_minflt - faults)
+hold.set()
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="what glibc does")
+def test_what_one_thread_frees_serves_the_others():
+    shared, apart = (
+        int(subprocess.run([sys.executable, "-c", THREADS_IN_TURN, mode], capture_output=True, check=True).stdout)
+        for mode in ("shared", "apart")
+    )
+    assert shared < 5000 < 4 * 5000 < apart

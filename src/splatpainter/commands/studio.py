@@ -11,6 +11,7 @@ from splatpainter.commands import Outcome
 from splatpainter.commands.parts.option_marks import Argument, Positional
 from splatpainter.commands.parts.option_parsing import InAxesOption
 from splatpainter.commands.parts.terminal import complain
+from splatpainter.system.memory import share_one_heap
 from splatpainter.system.quick_dataclass import dataclass
 
 
@@ -43,6 +44,7 @@ class Config:
 
 def run(config: Config) -> Outcome:
     """Serve until interrupted."""
+    share_one_heap()  # before anything starts a thread
     # The studio's libraries are an extra; without them one line says what to install.
     try:
         from splatpainter.server.launch import address, listen, make_server, open_session, warm
