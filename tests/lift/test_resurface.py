@@ -153,7 +153,7 @@ def test_what_was_summed_under_a_sheet_is_summed_again_where_the_sheet_is_anothe
     """Paint over the outline takes the sheet on with it; clear pixels are asked of the tiles of the paint alone."""
     splats, again, beyond, sum_again = ball(), 0, 0, ProjectedView.sum_again
 
-    def asked(splats: Splats, view: ProjectedView, here: np.ndarray, sums: Any, *rest: Any) -> np.ndarray:
+    def watched_clear(splats: Splats, view: ProjectedView, here: np.ndarray, sums: Any, *rest: Any) -> np.ndarray:
         nonlocal beyond
         beyond += int((pixels_of_tiles(view.tiles, here.shape) & ~here).any())
         for one, expected in zip(sums, view.mask_sums(rest[1], here), strict=True):
@@ -169,7 +169,7 @@ def test_what_was_summed_under_a_sheet_is_summed_again_where_the_sheet_is_anothe
                 np.testing.assert_array_equal(getattr(one, name), getattr(expected, name), name)
 
     monkeypatch.setattr(ProjectedView, "sum_again", watched)
-    monkeypatch.setattr(sheets, "clear_pixels", asked)
+    monkeypatch.setattr(sheets, "clear_pixels", watched_clear)
     edge = np.flatnonzero(draw(splats).max(2)[64])[-1]
     for mask in (disk(FRONT, edge, 64, 12), disk(FRONT, 64, 64, 20)):
         assert len(paint(splats, mask).replaced)

@@ -380,6 +380,6 @@ def _then_split(
         return first
     # Splitting may have written an index that the sheet had emptied, or one of the sheet's own.
     edit = first.edit.then(later, splats)
-    shown = later.ids[later.values.opacities != 0]
-    removed = first.removed[~np.isin(first.removed, shown, assume_unique=True)]
+    refilled_ids = later.ids[later.values.opacities != 0]
+    removed = first.removed[~np.isin(first.removed, refilled_ids, assume_unique=True)]
     return replace(first, edit=edit, removed=removed)

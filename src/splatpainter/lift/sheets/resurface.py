@@ -248,7 +248,7 @@ def without_islands(mask: np.ndarray) -> Bools:
 def clear_pixels(
     splats: Splats,
     view: ProjectedView,
-    asked: Bools,
+    within: Bools,
     mask_sums: tuple[MaskSums, MaskSums],
     near: NearSurface,
     covered: np.ndarray,
@@ -256,7 +256,7 @@ def clear_pixels(
 ) -> np.ndarray:
     """[H, W] bool pixels most of whose light comes from Gaussians that a sheet can take the place of: they lie on the
     surface, and under the sheet, or are small enough to be cut at its edge; elsewhere, in the fog of captures, a veil
-    would stay before the sheet. asked: [H, W] bool, of the view's pixels only these are looked at; mask_sums: of
+    would stay before the sheet. within: [H, W] bool, of the view's pixels only these are looked at; mask_sums: of
     `covered`, and of these; window: rows and columns of the pixels that may be clear, and of those within
     RESURFACING.clear_radius_px around them."""
     ids, (sums, everywhere) = view.gaussian_ids, mask_sums
@@ -277,7 +277,7 @@ def clear_pixels(
     image, alpha = image[window], alpha[window]
     weight, hidden = image[..., 0] - image[..., 2], image[..., 1] - image[..., 2]  # over black
     light = (weight > RESURFACING.min_handled * (alpha - hidden)) & (weight > RESURFACING.min_touching * alpha)
-    light &= asked[window]
+    light &= within[window]
     clear[window] = box_mean(light.astype(np.float32), RESURFACING.clear_radius_px) > 0.5
     return clear
 
@@ -413,7 +413,7 @@ def _recolored(
     hanging &= inside.weight > RESURFACING.min_visible * inside.alpha
     movable = added | piece | hanging
     editable = np.flatnonzero(movable)
-    shown = everywhere.take(editable)
+    visible_sums = everywhere.take(editable)
     del inside, everywhere, added, piece, hanging  # now comes what an edit needs the most memory for
     goal, rounds = pictures.target, options.sheet_rounds
     weights = np.where(laid.painted, covered, RESURFACING.unedited_weight).astype(np.float32)
@@ -433,7 +433,7 @@ def _recolored(
             view,
             editable,
             facing,
-            shown,
+            visible_sums,
             lifted.take(editable, 0),
             colors_towards(around, splats, parents),
             ~old[numbers],
@@ -441,7 +441,7 @@ def _recolored(
         )
         lifted[editable] = gaussians.corrected(correction.weights(), steps)
         del gaussians
-    del shown, steps  # what is read no more goes
+    del visible_sums, steps  # what is read no more goes
     before, lifted, ids = view.unclamped_of(editable), lifted.take(editable, 0), ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     sh = fresh.sh

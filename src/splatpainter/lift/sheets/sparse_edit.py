@@ -73,12 +73,12 @@ class SparseEdit:
 
     def _written(self, out: Splats, ids: np.ndarray, count: int, names: tuple[str, ...]) -> Splats:
         """Write what the edit makes of the Gaussians `ids`; out: them before it, any values for those appended."""
-        added, (here, places) = np.flatnonzero(ids >= count), _places(self.ids, ids)
+        added, (here, index) = np.flatnonzero(ids >= count), _among(self.ids, ids)
         for name in names:
             values = getattr(out, name)
-            values[here] = getattr(self.values, name).take(places, 0)
+            values[here] = getattr(self.values, name).take(index, 0)
             values[added] = getattr(self.appended, name).take(ids[added] - count, 0)
-        out.opacities[_places(self.emptied, ids)[0]] = 0
+        out.opacities[_among(self.emptied, ids)[0]] = 0
         return out
 
     def then(self, later: SparseEdit, before: Splats) -> SparseEdit:
@@ -86,10 +86,10 @@ class SparseEdit:
         count, old = len(before), later.ids < len(before)
         ids = distinct(np.concatenate([self.touched(before), later.ids[old]]))
         values, appended = self.take(before, ids), self.appended.append(later.appended)
-        places, added = np.searchsorted(ids, later.ids[old]), later.ids[~old] - count
+        index, added = np.searchsorted(ids, later.ids[old]), later.ids[~old] - count
         for name in ATTRIBUTES:
             new = getattr(later.values, name)
-            getattr(values, name)[places] = new[old]
+            getattr(values, name)[index] = new[old]
             getattr(appended, name)[added] = new[~old]
         if before.origin is not None:
             tails = [np.asarray(edit.appended.origin) for edit in (self, later)]
@@ -103,12 +103,12 @@ class SparseEdit:
         return replace(self, ids=ids[self.ids], emptied=ids[self.emptied], parents=ids[self.parents])
 
 
-def _places(ascending: np.ndarray, ids: np.ndarray) -> tuple[Ids, Ids]:
+def _among(ascending: np.ndarray, ids: np.ndarray) -> tuple[Ids, Ids]:
     """([K] which of `ids` are among some ascending ones, [K] which of these each is)."""
-    places = np.searchsorted(ascending, ids)
-    here = np.flatnonzero(places < len(ascending))
-    here = here[ascending[places[here]] == ids[here]]
-    return here, places[here]
+    index = np.searchsorted(ascending, ids)
+    here = np.flatnonzero(index < len(ascending))
+    here = here[ascending[index[here]] == ids[here]]
+    return here, index[here]
 
 
 @dataclass(frozen=True)
