@@ -114,7 +114,7 @@ def test_masks_that_change_in_some_tiles_are_walked_there_alone():
     some = rng.random(view.tiles.shape) < 0.6
     here = pixels_of(some, 110, 150)
     sums = view.pair_mask_sums(masks[0] ^ here, masks[1] & ~here)
-    view.sum_again(sums, *masks, some)
+    view.sum_again(sums, masks[0], masks[1], some)
     for one, expected in zip(view.reduced_masks(sums), view.mask_sums(*masks), strict=True):
         for name in ("weight", "alpha", "peak"):
             np.testing.assert_array_equal(getattr(one, name), getattr(expected, name), name)

@@ -145,8 +145,8 @@ class LiftedGaussians:
         # Each colour goes to its place at once: here an edit needs the most memory.
         colors = np.empty((len(at), COLORS, 3), np.float32)
         colors[:, 0], mask = part[v, u], paint.astype(np.float32)
-        for k, radius in enumerate(AROUND_PX, 1):
-            colors[:, k], surface_share = _mean_around(part, surface, v, u, radius)
+        colors[:, 1], _ = _mean_around(part, surface, v, u, AROUND_PX[0])
+        colors[:, 2], surface_share = _mean_around(part, surface, v, u, AROUND_PX[1])
         of_paint, share = _mean_around(part, surface & paint, v, u, PAINT_PX)
         colors[:, 3] = np.where((share > 1e-4)[:, None], of_paint, colors[:, 2])
         del of_paint, share
