@@ -32,8 +32,8 @@ class ViewSearchThresholds:
     min_rival_margin: float = 0.004
     """Every other must also be worse by this mean difference."""
     max_toned_difference: float = 0.01
-    """max_thumbnail_difference, of graded pictures. Seven grades of 48 painted views of six assets: 297 of 336 are
-    told, none for another; of as many between the views 4 are taken for one beside them, where without a tone 1 is."""
+    """max_thumbnail_difference, of graded pictures. Of seven grades of 48 painted views of six assets 297 of 336 find a
+    view; of as many between the views 4 are taken for one beside them, where without a tone 1 is."""
     min_toned_ratio: float = 2.5
     """min_rival_ratio, of these."""
     tone_rounds: int = 4
