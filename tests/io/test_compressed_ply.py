@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import splatpainter as sp
 from splatpainter import io
 from splatpainter.io.formats import compressed_ply, packing
-from splatpainter.io.formats.packing import morton_order
+from splatpainter.io.formats.packing import morton_order, stable_order
 from tests.support.io_assets import SH_C0, random_splats
 
 FLOATS = ["min_x", "min_y", "min_z", "max_x", "max_y", "max_z"]
@@ -308,6 +308,18 @@ def test_morton_order() -> None:
     expected = sorted((k for k in range(200) if k != 5), key=lambda k: key(cells[k]))
     assert morton_order(means).tolist() == [*expected, 5]
     assert len(morton_order(np.zeros((0, 3)))) == 0
+    assert morton_order(np.full((3, 3), np.nan)).tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 1000])
+def test_keys_that_agree_in_their_upper_bits_are_sorted_by_all_of_them(count: int) -> None:
+    rng = np.random.default_rng(1)
+    # Fewer values than keys, so that some agree altogether too; far below the place of a thousand rows.
+    keys = rng.integers(0, 300, count).astype(np.uint64) | (
+        rng.integers(0, 4, count).astype(np.uint64) << np.uint64(40)
+    )
+    keys[::7] = np.iinfo(np.uint64).max
+    np.testing.assert_array_equal(stable_order(keys), np.argsort(keys, kind="stable"))
 
 
 GOOD = compressed([CHUNK], [ROW], [[128] * 9])

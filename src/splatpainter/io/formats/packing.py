@@ -22,6 +22,8 @@ from splatpainter.transforms import row_norm
 
 MORTON_BITS = 21
 """Bits an axis: three of them fill a 64-bit key."""
+MORTON_ROWS = 1 << 14
+"""Rows whose keys are made at a time: their float64 and their words stay in the cache."""
 
 
 def unpack_fields(words: np.ndarray, bits: Sequence[int]) -> Ids:
@@ -157,16 +159,44 @@ def morton_order(means: np.ndarray) -> Ids:
     so their 11-bit positions fine (docs/formats.md has numbers); it also changes row indices, so it is never automatic.
     """
     finite = np.isfinite(means).all(1)
-    finite_means = means[finite].astype(np.float64)
     keys = np.full(len(means), np.iinfo(np.uint64).max, np.uint64)
-    if len(finite_means):
-        low = finite_means.min(0)
-        span = np.maximum(finite_means.max(0) - low, np.finfo(np.float64).tiny)
-        cells = ((finite_means - low) / span * (2**MORTON_BITS - 1)).astype(np.uint64)
-        keys[finite] = (
-            _spread(cells[:, 0]) | (_spread(cells[:, 1]) << np.uint64(1)) | (_spread(cells[:, 2]) << np.uint64(2))
-        )
-    return np.argsort(keys, kind="stable")
+    if not finite.any():
+        return np.arange(len(means))
+    # Axis by axis: numpy's own way along the longer axis takes several times longer.
+    axes = (means if finite.all() else means[finite]).T
+    low = np.array([axis.min() for axis in axes], np.float64)
+    span = np.maximum(np.array([axis.max() for axis in axes], np.float64) - low, np.finfo(np.float64).tiny)
+
+    def fill(start: int) -> None:
+        rows = slice(start, start + MORTON_ROWS)
+        with np.errstate(all="ignore"):  # of rows that are not finite, which keep the last key
+            cells = ((means[rows].astype(np.float64) - low) / span * (2**MORTON_BITS - 1)).astype(np.uint64)
+        x, y, z = (_spread(axis) for axis in cells.T)
+        np.copyto(keys[rows], x | (y << np.uint64(1)) | (z << np.uint64(2)), where=finite[rows])
+
+    # Blocks stay in the cache, and threads share them.
+    each(fill, range(0, len(means), MORTON_ROWS))
+    return stable_order(keys)
+
+
+def stable_order(keys: np.ndarray) -> Ids:
+    """np.argsort(keys, kind="stable") of [N] uint64 keys that hardly ever agree in their upper bits, in half its
+    time."""
+    # The place in the lower bits makes every number another one: they are sorted as they are, without a second array.
+    places = np.uint64((1 << max(len(keys) - 1, 0).bit_length()) - 1)
+    numbers = keys & ~places
+    numbers |= np.arange(len(keys), dtype=np.uint64)
+    numbers.sort()
+    order = (numbers & places).astype(np.int64)
+    # Keys that differ in those lower bits alone stand by their place as yet: they are sorted among themselves, and
+    # stay where they stand as a group, as the upper bits of other groups are others.
+    numbers &= ~places
+    tied = np.flatnonzero(numbers[1:] == numbers[:-1])
+    if len(tied):
+        standing = np.union1d(tied, tied + 1)
+        rows = order[standing]
+        order[standing] = rows[np.argsort(keys[rows], kind="stable")]
+    return order
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
