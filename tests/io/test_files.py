@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,31 @@ from splatpainter.io.formats import ply
 from splatpainter.kernels.parallel import THREADS_VARIABLE
 from splatpainter.splats import ATTRIBUTES
 from tests.support.io_assets import random_splats
+
+
+def test_what_passes_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    with files.passing(), files.writing(tmp_path / "a") as file:
+        file.write(b"abc")
+    assert not synced and (tmp_path / "a").read_bytes() == b"abc"
+    # Samples that are written to be measured pass; whatever is written behind them does not.
+    losses.measured_as(random_splats(10, 1), "spz")
+    assert not synced
+    with files.writing(tmp_path / "b") as file:
+        file.write(b"abc")
+    assert synced
+
+
+@pytest.mark.parametrize("at", [0, files.COMPARED_BYTES, 2 * files.COMPARED_BYTES + 99])
+def test_every_piece_of_a_file_is_compared(tmp_path: Path, at: int) -> None:
+    data = bytearray(2 * files.COMPARED_BYTES + 100)
+    path = tmp_path / "file"
+    path.write_bytes(data)
+    assert files.holds(path, [memoryview(bytes(data))])
+    data[at] ^= 1
+    assert not files.holds(path, [memoryview(bytes(data))])
+
 
 ROW = np.dtype([("a", "<f4"), ("b", "u1"), ("c", "<i2")])
 

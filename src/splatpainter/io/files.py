@@ -14,12 +14,13 @@ from typing import BinaryIO
 import numpy as np
 
 from splatpainter.kernels.parallel import each
-from splatpainter.system.atomic import remove, replace, sync_folder, writing
+from splatpainter.system.atomic import passing, remove, replace, sync_folder, writing
 
 __all__ = [
     "file_sha256",
     "holds",
     "is_same",
+    "passing",
     "read_all",
     "read_array",
     "read_head",
@@ -41,6 +42,8 @@ PIECE_BYTES = 1 << 20
 """Read at a time of a file that is hashed."""
 SHARED_BYTES = 1 << 22
 """Read at a time by each of several threads."""
+COMPARED_BYTES = 1 << 18
+"""Read at a time of a file that is compared."""
 
 
 _watcher: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.ContextVar("watcher", default=None)
@@ -147,7 +150,14 @@ def holds(path: Path, pieces: Sequence[bytes | memoryview]) -> bool:
     def is_equal(part: tuple[int, memoryview]) -> bool:
         with reading(path) as file:
             file.seek(part[0])
-            return np.array_equal(np.frombuffer(file.read(len(part[1])), np.uint8), np.frombuffer(part[1], np.uint8))
+            # Through a buffer that stays in the cache: the system clears new memory, which takes as long as reading.
+            values, buffer = np.frombuffer(part[1], np.uint8), np.empty(COMPARED_BYTES, np.uint8)
+            for first in range(0, len(values), COMPARED_BYTES):
+                piece = values[first : first + COMPARED_BYTES]
+                count = file.readinto(buffer[: len(piece)].data)  # pyright: ignore[reportAttributeAccessIssue]
+                if not np.array_equal(buffer[:count], piece):
+                    return False
+            return True
 
     parts = [
         (start + first, memoryview(piece)[first : first + SHARED_BYTES])

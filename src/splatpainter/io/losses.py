@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from splatpainter.io import FORMATS, read, write
+from splatpainter.io import FORMATS, files, read, write
 from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.formats.ply import stored_positions
 from splatpainter.io.formats.reuse import drawable_rows
@@ -178,9 +178,10 @@ def measure(before: Splats, after: Splats) -> Losses:
         return Losses(compared=total)
     errors = _errors(old, new, counted)
     moves = errors.moves
-    if new.source is not None and new.source.format != "ply":  # there the stored numbers go along
-        moves = np.maximum(moves, _moves_from_file(old, new))
-    moves = moves[counted]
+    # A PLY has the stored numbers again; few other files were made from finer positions than memory has.
+    if new.source is not None and new.source.format != "ply" and (finer := _moves_from_file(old, new)).any():
+        moves = np.maximum(moves, finer)
+    moves = moves if total == count else moves[counted]
     if not errors.differs.any():
         return Losses(compared=total, **_moved(moves))
     base, rest = errors.base, errors.rest
@@ -358,7 +359,7 @@ def measured_as(splats: Splats, key: str) -> tuple[Losses, int]:
     """(the losses of these Gaussians in a new file of the format `key`, its bytes), by writing one. Raises ValueError:
     it cannot hold them."""
     rows = replace(splats, source=None, origin=None)
-    with tempfile.TemporaryDirectory(prefix="splatpainter-verify-") as folder:
+    with tempfile.TemporaryDirectory(prefix="splatpainter-verify-") as folder, files.passing():
         path = Path(folder) / f"asset{FORMATS[key].suffixes[0]}"
         write(path, rows)
         return measure(rows, read(path, offset=rows.offset)), path.stat().st_size
@@ -371,13 +372,19 @@ def moved_share_sorted(splats: Splats) -> float:
 
     rows = replace(splats.numpy().relative_to((0.0, 0.0, 0.0)), source=None, origin=None)
     order = morton_order(splats.numpy().means)
-    counted = (rows.drawable & (rows.opacities >= MIN_DRAWN_OPACITY))[order]
-    with np.errstate(all="ignore"):  # of rows that are not counted
+    counted, sizes = rows.drawable & (rows.opacities >= MIN_DRAWN_OPACITY), row_max(rows.scales)
+    rounded, total = rounded_means(drawable_rows(rows).means[order]), int(counted.sum())
+    means, offset = splats.numpy().means, np.array(splats.offset)
+
+    def beyond(start: int) -> int:
+        block = order[start : start + LOSSES.block_rows]
         # Against world positions in float64: what float32 makes of those moves them, too.
-        world = splats.numpy().means[order].astype(np.float64) + np.array(splats.offset)
-        apart = rounded_means(drawable_rows(rows).means[order]).astype(np.float64) - world
-        beyond = row_norm(apart) > row_max(rows.scales)[order]
-    return float(beyond[counted].mean()) if counted.any() else 0.0
+        world = means[block].astype(np.float64) + offset
+        with np.errstate(all="ignore"):  # of rows that are not counted
+            apart = rounded[start : start + LOSSES.block_rows].astype(np.float64) - world
+            return int(((row_norm(apart) > sizes[block]) & counted[block]).sum())
+
+    return sum(each(beyond, range(0, len(order), LOSSES.block_rows))) / total if total else 0.0
 
 
 def spread_sample(splats: Splats, count: int = LOSSES.sample_rows) -> Splats:
