@@ -21,7 +21,8 @@ from splatpainter.io.formats import ply
 from splatpainter.io.formats.packing import morton_order
 from splatpainter.io.losses import MIN_DRAWN_OPACITY, Losses, loss_line, measure, moved_share_sorted
 from splatpainter.io.ply_columns import add_columns
-from splatpainter.io.write_options import WriteOptions
+from splatpainter.io.write_options import AS_IT_IS, WriteOptions
+from splatpainter.kernels.parallel import beside
 from splatpainter.output_paths import check_target, placed, splat_format
 from splatpainter.splats import Axes, Splats
 from splatpainter.system.quick_dataclass import dataclass
@@ -114,6 +115,11 @@ def run(config: Config) -> Outcome:
         with placed(config.out) as partial:
             bar.enter("writing")
             chosen = chosen_rows(before, config)
+            # Hashes leave Python alone, so they are taken beside what follows: of the asset where OUT is likely to be
+            # the same file, else of what was read again.
+            hashed = None
+            if chosen is before and options == AS_IT_IS and before.source and before.source.format == entry.key:
+                hashed = beside(lambda: before.sha256)
             write(partial, chosen, axes=config.axes, options=options)
             bar.enter("checking")
             # Read with the axes that it was written with, or the comparison would find everything turned.
@@ -124,6 +130,8 @@ def run(config: Config) -> Outcome:
                 assert written is not None
                 add_columns(partial, surface_columns(chosen, columns, AXES[written.axes]))
             after = read_again(partial, before, entry.key, taken)
+            if hashed is None or after is not before:
+                hashed = beside(lambda: after.sha256)
             # Against what was asked for: bands of SH that were left out on purpose are listed by the options.
             measured = measure(options.applied(chosen), after)
     # Said after the work: an odd asset is converted all the same.
@@ -142,7 +150,7 @@ def run(config: Config) -> Outcome:
             "format": entry.key,
             "bytes": file_size(config.out),
             "rows": len(after),
-            "sha256": after.sha256,
+            "sha256": hashed(),
             "frame": after.source.axes,
         },
         # First what was measured, then what the options left out.
@@ -251,13 +259,14 @@ def losses(before: Splats, after: Splats, measured: Losses, in_other_order: bool
     """What the new file does not hold, one line each, first what was measured."""
     assert before.source is not None and after.source is not None
     key = after.source.format
+    # Positions are coded in blocks of neighbours there, so the order of rows decides how fine they are. Sorting works
+    # on large arrays and finding a better format on small ones, mostly in Python: one beside the other.
+    could_sort = key == "compressed.ply" and measured.severity >= 1 and measured.moved_share and not in_other_order
+    share_sorted = beside(lambda: moved_share_sorted(before)) if could_sort else None
     lines = [loss_line(before, key, measured)] if measured.line else []
-    # Positions are coded in blocks of neighbours there, so the order of rows decides how fine they are.
-    if key == "compressed.ply" and measured.severity >= 1 and measured.moved_share and not in_other_order:
-        in_order = moved_share_sorted(before)
-        # Only where sorting would help much is it worth a word.
-        if in_order * 2 < measured.moved_share:
-            lines[0] += f" (with --sort {100 * in_order:.2g} % move by more than one size)"
+    # Only where sorting would help much is it worth a word.
+    if share_sorted is not None and (in_order := share_sorted()) * 2 < measured.moved_share:
+        lines[0] += f" (with --sort {100 * in_order:.2g} % move by more than one size)"
     # From here on what was lost is a matter of fact and needs no measure.
     if in_other_order:
         lines.append("the order of the rows")
