@@ -183,14 +183,14 @@ def stable_order(keys: np.ndarray) -> Ids:
     """np.argsort(keys, kind="stable") of [N] uint64 keys that hardly ever agree in their upper bits, in half its
     time."""
     # The place in the lower bits makes every number another one: they are sorted as they are, without a second array.
-    places = np.uint64((1 << max(len(keys) - 1, 0).bit_length()) - 1)
-    numbers = keys & ~places
+    low_bits = np.uint64((1 << max(len(keys) - 1, 0).bit_length()) - 1)
+    numbers = keys & ~low_bits
     numbers |= np.arange(len(keys), dtype=np.uint64)
     numbers.sort()
-    order = (numbers & places).astype(np.int64)
-    # Keys that differ in those lower bits alone stand by their place as yet: they are sorted among themselves, and
+    order = (numbers & low_bits).astype(np.int64)
+    # Keys that differ in those lower bits alone stand in their own order as yet: they are sorted among themselves, and
     # stay where they stand as a group, as the upper bits of other groups are others.
-    numbers &= ~places
+    numbers &= ~low_bits
     tied = np.flatnonzero(numbers[1:] == numbers[:-1])
     if len(tied):
         standing = np.union1d(tied, tied + 1)
