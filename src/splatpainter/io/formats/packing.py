@@ -158,7 +158,7 @@ def morton_order(means: np.ndarray) -> Ids:
     `splats.take(morton_order(splats.means))` before writing a new compressed PLY makes its chunks small in space, and
     so their 11-bit positions fine (docs/formats.md has numbers); it also changes row indices, so it is never automatic.
     """
-    finite = np.isfinite(means).all(1)
+    finite = np.asarray(np.isfinite(means).all(1))
     keys = np.full(len(means), np.iinfo(np.uint64).max, np.uint64)
     if not finite.any():
         return np.arange(len(means))
