@@ -22,15 +22,13 @@ from splatpainter.io.formats import activations
 from splatpainter.io.formats.reuse import row_problems, unchanged
 from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
-from splatpainter.kernels.parallel import beside, each, run
+from splatpainter.kernels.parallel import beside, run
 from splatpainter.splats import SH_C0, Source, Splats
 from splatpainter.system.quick_dataclass import dataclass
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("quats", "u1", 4)])
 BYTES = np.arange(256, dtype=np.uint8)
 """All values that colours, opacities and rotations can have: each is decoded once."""
-COPIED_ROWS = 1 << 16
-"""Rows whose positions and scales one thread copies at a time."""
 
 
 @dataclass(frozen=True)
@@ -60,18 +58,10 @@ def read_splat(path: Path, lenient: bool = False) -> Splats:
     digest = beside(lambda: files.sha256(data))
     record = SplatFile(np.frombuffer(data, ROW, count), data[len(data) - rest :])
     rows = record.rows
-    means, scales = (np.empty((count, 3), np.float32) for _ in range(2))
-
-    def copy(start: int) -> None:
-        block = slice(start, start + COPIED_ROWS)
-        means[block], scales[block] = rows["means"][block], rows["scales"][block]
-
-    # By all threads: what takes long is that the system clears the new memory.
-    each(copy, range(0, count, COPIED_ROWS))
     splats = Splats(
-        means=means,
+        means=rows["means"].astype(np.float32),
         quats=_looked_up(rows, "quats", (BYTES.astype(np.float32) - 128) / 128),
-        scales=scales,
+        scales=rows["scales"].astype(np.float32),
         opacities=_looked_up(rows, "alpha", BYTES / np.float32(255))[:, 0],
         sh=_looked_up(rows, "rgb", activations.color_to_dc(BYTES / np.float64(255))).reshape(count, 1, 3),
     )
