@@ -203,9 +203,9 @@ def beside_mask(splats: Splats, camera: Camera, mask: np.ndarray) -> Bools:
     """[N] bool: Gaussians whose middle a view draws beside a mask ([H, W] 0..1), or not at all."""
     pixels, z = camera.project(splats.means.astype(np.float64))
     column, line = np.floor(np.nan_to_num(pixels, nan=-1, posinf=-1, neginf=-1)).T
-    shown = (z > 0) & (column >= 0) & (column < camera.width) & (line >= 0) & (line < camera.height)
+    visible = (z > 0) & (column >= 0) & (column < camera.width) & (line >= 0) & (line < camera.height)
     out = np.ones(len(splats), bool)
-    out[shown] = mask[line[shown].astype(np.int64), column[shown].astype(np.int64)] < SELECTING.marked_share
+    out[visible] = mask[line[visible].astype(np.int64), column[visible].astype(np.int64)] < SELECTING.marked_share
     return out
 
 
