@@ -38,8 +38,8 @@ from splatpainter import io
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.holes.body import body_of
 from splatpainter.lift.masks import dilated
-from splatpainter.rendering.pixel_shares import share_of
-from splatpainter.session.selection.selection import beside_mask, in_mask
+from splatpainter.rendering.pixel_shares import beside_mask, share_of
+from splatpainter.session.selection.selection import in_mask
 from splatpainter.splats import Splats
 from splattrain.data.environments import load_environment
 from splattrain.data.lights import make_light, shade_all

@@ -12,10 +12,10 @@ from splatpainter.cameras import bounding_sphere
 from splatpainter.io import read
 from splatpainter.painter import Edit
 from splatpainter.rendering import render
+from splatpainter.rendering.pixel_shares import beside_mask
 from splatpainter.session import Session
 from splatpainter.session.selection.selection import (
     Selection,
-    beside_mask,
     by_attribute,
     by_color,
     combined,

@@ -1828,6 +1828,16 @@ export interface Commands {
   "project.recent": [ProjectRecent, RecentProjects];
   "receipt": [ReceiptShow, ReceiptMade];
   "verify": [AssetVerify, Verified];
+  "selection.area": [SelectArea, Selected];
+  "selection.color": [SelectColor, Selected];
+  "selection.attribute": [SelectByAttribute, Selected];
+  "selection.box": [SelectBox, Selected];
+  "selection.change": [SelectChange, Selected];
+  "selection.save": [SelectionSave, Answer];
+  "selection.recall": [SelectionRecall, Selected];
+  "selection.delete": [SelectionDelete, Answer];
+  "selection.view": [SelectionView, SelectionViewed];
+  "selection.hide": [SelectionHide, LayerMade];
   "picture.check": [PictureCheck, PictureChecked];
   "source.list": [SourceList, Sources];
   "source.edit": [SourceEdit, SourcePicture];
@@ -1863,16 +1873,6 @@ export interface Commands {
   "scene.set": [AssetSet, Answer];
   "scene.remove": [AssetRemove, Answer];
   "scene.match": [AssetMatchSeam, LayerMade];
-  "selection.area": [SelectArea, Selected];
-  "selection.color": [SelectColor, Selected];
-  "selection.attribute": [SelectByAttribute, Selected];
-  "selection.box": [SelectBox, Selected];
-  "selection.change": [SelectChange, Selected];
-  "selection.save": [SelectionSave, Answer];
-  "selection.recall": [SelectionRecall, Selected];
-  "selection.delete": [SelectionDelete, Answer];
-  "selection.view": [SelectionView, SelectionViewed];
-  "selection.hide": [SelectionHide, LayerMade];
   "view.surface": [ViewSurface, SurfaceSeen];
   "asset.palette": [AssetPalette, Palette];
   "symmetry.find": [SymmetryFind, SymmetryPlane];
@@ -1901,6 +1901,15 @@ export const WRITING: ReadonlySet<keyof Commands> = new Set<keyof Commands>([
   "project.save_as",
   "project.move",
   "project.recent",
+  "selection.area",
+  "selection.color",
+  "selection.attribute",
+  "selection.box",
+  "selection.change",
+  "selection.save",
+  "selection.recall",
+  "selection.delete",
+  "selection.hide",
   "fill.selection",
   "fill.surroundings",
   "layer.new",
@@ -1921,14 +1930,5 @@ export const WRITING: ReadonlySet<keyof Commands> = new Set<keyof Commands>([
   "scene.set",
   "scene.remove",
   "scene.match",
-  "selection.area",
-  "selection.color",
-  "selection.attribute",
-  "selection.box",
-  "selection.change",
-  "selection.save",
-  "selection.recall",
-  "selection.delete",
-  "selection.hide",
 ]);
 export type Event = StateEvent | ToastEvent | PictureEvent | BatchEvent;

@@ -15,7 +15,7 @@ import numpy as np
 from splatpainter.gatekeeper.fitted_mistakes import FITS
 from splatpainter.gatekeeper.mistaken_pictures import intact_share
 from splatpainter.gatekeeper.small_copies import COPIES, Cause, Explanation, mean_difference
-from splatpainter.gatekeeper.strips import Strip, strip_of
+from splatpainter.gatekeeper.strips import SideStrip, strip_of
 from splatpainter.lift.masks import dilated, largest_channel
 from splatpainter.order_statistics import median
 from splatpainter.system.quick_dataclass import dataclass
@@ -102,10 +102,10 @@ def framed_picture(
     return FramedPicture(framed, window, within, is_certain)
 
 
-def border_or_strip(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> Strip | None:
+def border_or_strip(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> SideStrip | None:
     """What frames a picture [H, W, 3], or lies along one side of it; None where nothing does. As border_of."""
     border = border_of(picture, render, cover)
-    return strip_of(picture, render, cover) if border is None else Strip(border, is_certain=True)
+    return strip_of(picture, render, cover) if border is None else SideStrip(border, is_certain=True)
 
 
 def border_of(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> np.ndarray | None:

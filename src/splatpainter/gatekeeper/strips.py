@@ -56,7 +56,7 @@ STRIPS = StripThresholds()
 
 
 @dataclass(frozen=True)
-class Strip:
+class SideStrip:
     """One or more sides of one colour. H, W: pixels of the view."""
 
     outside: np.ndarray
@@ -74,7 +74,7 @@ class _SideView:
     cover: np.ndarray
 
 
-def strip_of(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> Strip | None:
+def strip_of(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> SideStrip | None:
     """What lies along the sides of a picture [H, W, 3] that no border of two sides explains; None where nothing does.
     render: [H, W, 3]; cover: [H, W] alpha of the asset."""
     bare = cover <= COPIES.max_bare
@@ -86,11 +86,11 @@ def strip_of(picture: np.ndarray, render: np.ndarray, cover: np.ndarray) -> Stri
             # One side alone, or two unlike, is what selections erase, too.
             hiding = [width for width in widths if width]
             is_even = len(hiding) > 1 and max(hiding) - min(hiding) <= STRIPS.max_uneven_px
-            return Strip(_outside(widths, cover.shape), is_even)
+            return SideStrip(_outside(widths, cover.shape), is_even)
     return _single(sides, picture, render, bare)
 
 
-def _single(sides: list[_SideView], picture: np.ndarray, render: np.ndarray, bare: np.ndarray) -> Strip | None:
+def _single(sides: list[_SideView], picture: np.ndarray, render: np.ndarray, bare: np.ndarray) -> SideStrip | None:
     """The strip along one side that has a colour which the render has not there."""
     colors = [_line_color(side) for side in sides]
     # Two sides are a border, or two bands that somebody laid.
@@ -113,7 +113,7 @@ def _single(sides: list[_SideView], picture: np.ndarray, render: np.ndarray, bar
     is_idle = idle.sum() >= STRIPS.min_bare * outside.sum()
     is_extreme = color.max() <= STRIPS.max_black or color.min() >= 1 - STRIPS.max_black
     intact = (largest_channel(np.abs(picture - render)) <= STRIPS.max_noise)[~outside].mean() >= STRIPS.min_intact
-    return Strip(outside, bool(intact and (is_idle or is_extreme or _has_words(side, width, color))))
+    return SideStrip(outside, bool(intact and (is_idle or is_extreme or _has_words(side, width, color))))
 
 
 def _hiding_width(side: _SideView, background: np.ndarray) -> int:

@@ -134,7 +134,7 @@ BODY = BodyThresholds()
 def body_of(splats: Splats, selected: np.ndarray, beside: np.ndarray | None = None) -> Bools | None:
     """[N] bool: the Gaussians of the connected body under a selection ([N] bool), less what of it is ground; None where
     what is selected is a part of something larger (a spot on a wall). splats: numpy. beside: [N] bool, where an outline
-    on a view made the selection: those that the view draws beside it (selection.beside_mask)."""
+    on a view made the selection: those that the view draws beside it (pixel_shares.beside_mask)."""
     body = _body_within(splats, selected, None)
     if beside is None or (body is not None and (body & beside).sum() <= BODY.max_beside_share * body.sum()):
         return body

@@ -115,7 +115,7 @@ class Region:
     def beside(self, splats: Splats) -> Bools | None:
         """[N] bool: Gaussians that are drawn beside the mask of which the region is all there is; None: it is other
         than one mask."""
-        from splatpainter.session.selection.selection import beside_mask
+        from splatpainter.rendering.pixel_shares import beside_mask
 
         terms = [term for group in self.groups for term in group]
         if len(terms) != 1 or not isinstance(terms[0], MaskOnView):

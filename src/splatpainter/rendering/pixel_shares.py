@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatpainter.array_types import Floats
+from splatpainter.array_types import Bools, Floats
 from splatpainter.cameras import Camera
 from splatpainter.splats import Splats
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MEASURING_OPACITY = 0.05
 """Peak alpha with which footprints are measured where nothing shall hide anything."""
+MASKED_SHARE = 0.5
+"""Share of a pixel from which it is within a mask."""
 
 
 def before_black(splats: Splats, camera: Camera) -> ProjectedView:
@@ -46,4 +48,14 @@ def footprint_mean(splats: Splats, camera: Camera, picture: np.ndarray) -> Float
     part, total = view.mask_sums(picture, np.ones(picture.shape, np.float32))
     out = np.zeros(len(splats), np.float32)
     out[view.gaussian_ids] = part.alpha / np.maximum(total.alpha, 1e-9)
+    return out
+
+
+def beside_mask(splats: Splats, camera: Camera, mask: np.ndarray) -> Bools:
+    """[N] bool: Gaussians whose middle a view draws beside a mask ([H, W] 0..1), or not at all."""
+    pixels, z = camera.project(splats.means.astype(np.float64))
+    column, line = np.floor(np.nan_to_num(pixels, nan=-1, posinf=-1, neginf=-1)).T
+    visible = (z > 0) & (column >= 0) & (column < camera.width) & (line >= 0) & (line < camera.height)
+    out = np.ones(len(splats), bool)
+    out[visible] = mask[line[visible].astype(np.int64), column[visible].astype(np.int64)] < MASKED_SHARE
     return out

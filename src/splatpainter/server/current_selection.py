@@ -14,16 +14,10 @@ import numpy as np
 
 from splatpainter.cameras import Camera
 from splatpainter.io import files
+from splatpainter.rendering.pixel_shares import beside_mask
 from splatpainter.server.selection_history import SelectionHistory, SelectionState
 from splatpainter.session import Session
-from splatpainter.session.selection.selection import (
-    Combine,
-    Selection,
-    beside_mask,
-    combined,
-    view_and_points,
-    view_of,
-)
+from splatpainter.session.selection.selection import Combine, Selection, combined, view_and_points, view_of
 from splatpainter.splats import Splats
 from splatpainter.system.quick_dataclass import dataclass
 

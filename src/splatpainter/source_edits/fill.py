@@ -59,12 +59,12 @@ def fill(
     removed: [N] bool or 0..1 weights: Gaussians that go first; they stay as rows of opacity 0; where the surface behind
     them is closed that is all, and the receipt's note says so. body: what goes is the whole connected body that they
     are of (holes/body.py), or they alone where they are a spot on something larger; beside: [N] bool, where an outline
-    on a view chose them: Gaussians drawn beside it (selection.beside_mask), so that a neighbour stays. around: instead,
-    those that lie around a hole that is there, as one selects them by circling it. The new Gaussians take the colours
-    and the texture of what surrounds them; or, with a source, those of its picture of the filled view, in which the
-    fill is the mask. camera: that view; by default one that faces the hole. prompt: what the source should
-    paint there, in words, or all that is wanted of it (`SourceBrief`). The receipt says what was removed and added, and
-    who made the picture.
+    on a view chose them: Gaussians drawn beside it (pixel_shares.beside_mask), so that a neighbour stays. around:
+    instead, those that lie around a hole that is there, as one selects them by circling it. The new Gaussians take the
+    colours and the texture of what surrounds them; or, with a source, those of its picture of the filled view, in which
+    the fill is the mask. camera: that view; by default one that faces the hole. prompt: what the source should paint
+    there, in words, or all that is wanted of it (`SourceBrief`). The receipt says what was removed and added, and who
+    made the picture.
 
     Raises ValueError in one line where there is nothing to fill (holes/fill.py); SourceError and SourceCancelled as
     `edit_with_source`."""

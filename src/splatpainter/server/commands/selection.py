@@ -27,7 +27,7 @@ from splatpainter.session.selection import selection as tools
 from splatpainter.session.selection import selection_space as space
 from splatpainter.session.selection.selection import Attribute, Combine
 
-BESIDE_MASK = RawExpr("selection.beside_mask(session.splats, camera, mask)")
+BESIDE_MASK = RawExpr("pixel_shares.beside_mask(session.splats, camera, mask)")
 """What `CurrentSelection.beside` is, as one would write it."""
 MAX_RADIUS_SHARE = 1.0
 """Largest share of the asset's radius by which a selection may grow, shrink or be feathered at a time."""

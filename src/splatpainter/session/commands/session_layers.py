@@ -286,7 +286,7 @@ class SessionLayers(Sequence[Layer]):
     def body(self, weights: np.ndarray, beside: np.ndarray | None = None) -> tuple[np.ndarray, str]:
         """([N] 0..1 weights of the whole connected body that a selection is of, ""), or, where that is a part of
         something larger, the weights themselves and a line that says so. weights: [N] 0..1 of `Session.splats`; beside:
-        [N] bool, where an outline on a view chose them: Gaussians drawn beside it (selection.beside_mask), so that a
+        [N] bool, where an outline on a view chose them: Gaussians drawn beside it (pixel_shares.beside_mask), so that a
         neighbour that touches what is outlined stays."""
         weights = self._core.checked_weights(weights)
         selected = weights >= SELECTED

@@ -16,7 +16,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from splatpainter.array_types import Bools
 from splatpainter.cameras import Camera
 from splatpainter.color import base_color, to_display
 from splatpainter.image_files import bytes_of_png, bytes_to_png
@@ -197,16 +196,6 @@ def in_mask(splats: Splats, camera: Camera, mask: np.ndarray, through: bool = Fa
     front = np.where(alpha[line, column] > SELECTING.covered_alpha, depth[line, column], np.inf)
     out[ids[z > front + SELECTING.depth_margin_sizes * splats.scales[ids].max(1)]] = 0
     return snapped_weights(out)
-
-
-def beside_mask(splats: Splats, camera: Camera, mask: np.ndarray) -> Bools:
-    """[N] bool: Gaussians whose middle a view draws beside a mask ([H, W] 0..1), or not at all."""
-    pixels, z = camera.project(splats.means.astype(np.float64))
-    column, line = np.floor(np.nan_to_num(pixels, nan=-1, posinf=-1, neginf=-1)).T
-    visible = (z > 0) & (column >= 0) & (column < camera.width) & (line >= 0) & (line < camera.height)
-    out = np.ones(len(splats), bool)
-    out[visible] = mask[line[visible].astype(np.int64), column[visible].astype(np.int64)] < SELECTING.marked_share
-    return out
 
 
 def by_color(
