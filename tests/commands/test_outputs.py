@@ -216,8 +216,16 @@ def test_a_copy_is_not_read_again(tmp_path: Path, capfd: Capture, monkeypatch: p
     # Fewer bands, and other axes of the same bytes.
     for options in (["--sh-degree", "0"], ["--in-axes", "rub", "--axes", "rdf"]):
         read_files.clear()
-        assert run(capfd, "convert", asset, tmp_path / "other.ply", "--overwrite", *options).code == 0
-        assert len(read_files) == 2, options
+        done = run(capfd, "convert", asset, tmp_path / "other.ply", "--overwrite", "--json", *options)
+        assert done.code == 0 and len(read_files) == 2, options
+        written = (tmp_path / "other.ply").read_bytes()
+        assert done.json["output"]["sha256"] == hashlib.sha256(written).hexdigest()
+    # The same format and no options, and yet another file.
+    assert run(capfd, "convert", asset, tmp_path / "ball.spz").code == 0
+    done = run(capfd, "convert", tmp_path / "ball.spz", tmp_path / "turned.spz", "--axes", "rub", "--json").json
+    written = (tmp_path / "turned.spz").read_bytes()
+    assert written != (tmp_path / "ball.spz").read_bytes()
+    assert done["output"]["sha256"] == hashlib.sha256(written).hexdigest()
 
 
 @posix_only

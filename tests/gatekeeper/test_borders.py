@@ -177,6 +177,15 @@ def test_what_a_selection_of_one_side_fills_is_painted(
     assert (left_out[band].mean() < 0.1) == is_remarked
 
 
+def test_a_band_whose_neighbourhood_is_painted_too_is_no_strip() -> None:
+    """Black along one side, which goes on in strokes: somebody painted there."""
+    _, _, view, alpha = close_up()
+    picture = framed(view, 24, 0.0, "b")
+    assert strip_of(picture, view, alpha) is not None
+    picture[SIZE - 24 - 12 : SIZE - 24] = (0.8, 0.1, 0.1)
+    assert strip_of(picture, view, alpha) is None
+
+
 def test_force_paints_a_border() -> None:
     splats, _, _, alpha = close_up()
     mask = checked(framed(painted(), 8), policy="force").source.edit(splats).mask

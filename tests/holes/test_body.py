@@ -118,6 +118,19 @@ def test_a_neighbour_of_the_same_colour_stays_where_the_outline_leaves_it_out(ga
     assert without is None or without[of == 2].all(), "what is selected alone does not tell them apart"
 
 
+def test_an_outline_around_a_thing_means_all_of_it_however_little_its_view_shows() -> None:
+    """A tenth of a ball beside another one: a spot, were it not for the outline."""
+    floor, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))
+    splats = floor.append(ball).append(moved(ball, (1.0, 0, 0)))
+    x, y, z = splats.means.T
+    of = np.repeat([0, 1, 2], [len(floor), len(ball), len(ball)])
+    beside = (np.abs(x) > 0.52) | (y > 1.05)
+    selected = seen_from_front(splats, 0.0) & ~beside & ((z > 0.4) | (of == 0))
+    assert selected[of == 1].mean() < 0.1
+    body = body_of(splats, selected, beside)
+    assert body is not None and body[of == 1].mean() > 0.97 and body[of == 2].mean() < 0.03
+
+
 def test_an_outline_within_a_thing_still_means_all_of_it() -> None:
     """Half of what is seen of a ball: no body of its own lies within that, so the ball goes as it did."""
     floor, ball = ground((0.35, 0.2, 0.1)), sphere(0.5, (0.7, 0.7, 0.7))

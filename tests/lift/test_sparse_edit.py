@@ -54,7 +54,8 @@ def edits_in_turn(splats: Splats, seed: int) -> tuple[SparseEdit, SparseEdit]:
     again = np.sort(np.concatenate([ids[::3], emptied[::3], some[45:60], count + np.arange(0, 12, 4)]))
     values = replace(numbered(len(again), seed + 3), origin=np.asarray(after.origin)[again])
     more = replace(numbered(7, seed + 4), origin=np.full(7, -1))
-    return first, SparseEdit(again, values, NONE, more, rng.integers(0, len(after), 7))
+    parents = np.append(rng.integers(0, len(after), 6), count + 5)  # one of them is itself appended
+    return first, SparseEdit(again, values, NONE, more, parents)
 
 
 @pytest.mark.parametrize("seed", range(3))
