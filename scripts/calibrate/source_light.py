@@ -179,9 +179,10 @@ def sample_of(path: Path) -> Sample | None:
     light, transfer, points, trusted = source_witnesses(asset, surface)
     usable = trusted & unclipped(light)
     clear = light[usable].astype(np.float64), transfer[usable] / SH_C0, points[usable]
-    first, seen = by_patches(*clear, "+y")[0], field_witnesses(*clear)
-    if first is None or seen is None:
+    reading, seen = by_patches(*clear, "+y"), field_witnesses(*clear)
+    if reading is None or seen is None:
         return None
+    first = reading.light
 
     def upright_bands(coefficients: np.ndarray) -> np.ndarray:
         total = luminance(coefficients)

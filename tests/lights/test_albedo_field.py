@@ -157,17 +157,17 @@ def test_paint_that_goes_with_height_misleads_less(name: str) -> None:
         paint = 0.2 * rng.lognormal(0, 0.5, 6)[band] * rng.lognormal(0, 0.1, 6000)
         colors = (paint[:, None] * received).clip(0, 1)
         usable = surface.facing.trusted & unclipped(colors)
-        first, _, _ = by_patches(colors[usable], surface.transfer[usable] / SH_C0, surface.points[usable], "+y")
+        first = by_patches(colors[usable], surface.transfer[usable] / SH_C0, surface.points[usable], "+y")
         assert first is not None
         alone = estimate_source(colors, surface.transfer, surface.points, surface.facing.trusted, "+y", both=False)
-        np.testing.assert_array_equal(alone.coefficients, first.coefficients)
+        np.testing.assert_array_equal(alone.coefficients, first.light.coefficients)
         both = estimate_source(colors, surface.transfer, surface.points, surface.facing.trusted, "+y")
 
         def shape(coefficients: np.ndarray) -> np.ndarray:
             total = luminance(coefficients)
             return basis @ (total / total[0])
 
-        errors.append([((shape(c.coefficients) - shape(light)) ** 2).mean() for c in (first, both)])
+        errors.append([((shape(c.coefficients) - shape(light)) ** 2).mean() for c in (first.light, both)])
     single, together = np.sqrt(np.array(errors)).mean(0)
     assert together < 0.8 * single
 

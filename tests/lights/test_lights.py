@@ -13,11 +13,11 @@ from splatpainter.color import base_color, linear_to_srgb, sh_from_color, srgb_t
 from splatpainter.lights import gloss, irradiance
 from splatpainter.lights import relight as relighting
 from splatpainter.lights.facing import facing
-from splatpainter.lights.gloss import mirrored_light
 from splatpainter.lights.irradiance import LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun, kelvin_color
 from splatpainter.lights.light_prior import likely_light
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
+from splatpainter.lights.mirror_images import mirrored_light
 from splatpainter.lights.relight import delight, relight
 from splatpainter.lights.skies import SKIES, direction, sky
 from splatpainter.lights.sky_maps import SkyMap, lat_long

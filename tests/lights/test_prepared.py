@@ -9,10 +9,10 @@ import pytest
 
 from splatpainter.color import linear_to_srgb, sh_from_color
 from splatpainter.lights import prepared
-from splatpainter.lights.gloss import mirrored_light
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.light_cast import cast
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
+from splatpainter.lights.mirror_images import mirrored_light
 from splatpainter.lights.prepared import captured_light, lit_surface
 from splatpainter.lights.relight import relight
 from splatpainter.lights.skies import sky

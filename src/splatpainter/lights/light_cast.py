@@ -1,7 +1,8 @@
 """The colour that a light has in the mean: what of an asset's hue belongs to it, and what to the materials.
 
 Bayes on a grid of colours. Materials: half of them are nearly neutral, the others spread about a warm tone. Lights:
-those of 40 photographed environments. One asset counts as one witness: its materials are no independent draws.
+those of 40 photographed environments. One asset counts as one witness: its materials are no independent draws. What
+its highlights say (`highlight_color`) is a witness of its own.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import numpy as np
 
 from splatpainter.kernels import portable
+from splatpainter.lights.highlight_color import HighlightColor
 
 NEUTRAL_SHARE, NEUTRAL_STD = 0.5, 0.08
 """Of the materials, and how far natural logarithms of their red and blue over green lie from 0."""
@@ -28,9 +30,9 @@ DARK = 0.005
 """Added to linear colours, so that logarithms of dark ones stay small."""
 
 
-def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def cast(colors: np.ndarray, weights: np.ndarray, highlights: HighlightColor | None = None) -> np.ndarray:
     """[3] float64 of mean 1: the likely colour of the light in the mean. colors: [M, 3] linear, without their shading;
-    weights: [M]."""
+    weights: [M]; highlights: what they say of it."""
     logs = portable.log(np.maximum(colors.astype(np.float64), 0) + DARK)
     # Clipped, as a channel that is nearly black says nothing of the light's hue.
     hues = np.stack([logs[:, 0] - logs[:, 1], logs[:, 2] - logs[:, 1]], 1).clip(-HUE_RANGE, HUE_RANGE)
@@ -53,6 +55,8 @@ def cast(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
         part = density[red : red + len(amounts), blue : blue + len(amounts)]
         chance[k] = float(portable.total(amounts * part))
     chance += _log_normal(grid, LIGHT_MEAN, LIGHT_COVARIANCE)
+    if highlights is not None:
+        chance += highlights.log_chance(grid)
     chance = portable.exp(chance - chance.max())
     # The mean of what is likely, not the likeliest: one asset seldom decides.
     red, blue = (chance[:, None] * grid).sum(0) / chance.sum()
@@ -84,7 +88,9 @@ def _material_density(hues: np.ndarray) -> np.ndarray:
 
 
 def _log_normal(
-    values: np.ndarray, mean: tuple[float, float], covariance: tuple[tuple[float, float], tuple[float, float]]
+    values: np.ndarray,
+    mean: tuple[float, float],
+    covariance: tuple[tuple[float, float], tuple[float, float]],
 ) -> np.ndarray:
     (a, b), (_, c) = covariance
     determinant = a * c - b * b

@@ -14,6 +14,7 @@ import numpy as np
 
 from splatpainter.cameras import UpAxis
 from splatpainter.lighting import unoccluded_transfer
+from splatpainter.lights.highlight_color import highlight_color, sampled_bands
 from splatpainter.lights.irradiance import BLOCKER_RADIANCE, LitSurface, sun_light
 from splatpainter.lights.lamps import Lamp, Sun
 from splatpainter.lights.source_light import SourceLight, estimate_source, uniform_source
@@ -42,11 +43,12 @@ def lit_surface(splats: Splats, shadows: bool = True) -> LitSurface:
 
 
 def captured_light(splats: Splats, shadows: bool = True, up: UpAxis = "auto") -> SourceLight:
-    """`estimate_source` of the asset's base colours as views show them, computed once for equal assets. up: where light
+    """`estimate_source` of the asset's colours as views show them, computed once for equal assets. up: where light
     usually comes from. Raises ValueError."""
     with _LOCK:
         surface = lit_surface(splats, shadows)
-        key = (_shape_hash(splats), shadows, up, splats.color_space, _hash(splats.sh[:, 0]))
+        colors = _hash(splats.sh[:, 0], sampled_bands(splats))
+        key = (_shape_hash(splats), shadows, up, splats.color_space, colors)
         return _SOURCES.get(key, lambda: _estimate(splats, surface, up))
 
 
@@ -110,7 +112,12 @@ def _estimate(splats: Splats, surface: LitSurface, up: UpAxis) -> SourceLight:
         return uniform_source("source light: uniform grey, for want of a surface that was looked at")
     # Where patches know their normals the first reading is the better one: of five clean tuning assets the second takes
     # 0.26 dB, and what it is made of was learnt on fitted ones.
-    return estimate_source(*source_witnesses(splats, surface), up, both=not surface.facing.oriented)
+    return estimate_source(
+        *source_witnesses(splats, surface),
+        up,
+        both=not surface.facing.oriented,
+        highlights=lambda light: highlight_color(splats, surface, light),
+    )
 
 
 def source_witnesses(splats: Splats, surface: LitSurface) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

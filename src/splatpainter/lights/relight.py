@@ -24,10 +24,11 @@ from splatpainter.kernels.parallel import each
 from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.bare_colors import lit_side, white_light
 from splatpainter.lights.facing import MIN_FLAT_SHARE, ORIENTATION
-from splatpainter.lights.gloss import GLOSS, gloss_of, mirrored_light
+from splatpainter.lights.gloss import GLOSS, gloss_of
 from splatpainter.lights.irradiance import LitSurface
 from splatpainter.lights.lamps import Lamp
 from splatpainter.lights.light_set import Lights, axes_of, turned_sky
+from splatpainter.lights.mirror_images import MIRROR, mirrored_light
 from splatpainter.lights.prepared import captured_light, from_lamp, from_sun, lit_surface, quick_lamp, quick_sun
 from splatpainter.lights.sky_maps import SkyMap
 from splatpainter.lights.source_light import LIMITS, SourceLight, uniform_coefficients
@@ -387,5 +388,5 @@ def _reflected(surface: LitSurface, rows: np.ndarray, light: np.ndarray, receive
     above, below = unoccluded_transfer(normals) / math.pi, unoccluded_transfer(-normals) / math.pi
     free = portable.matmul((share * above + (1 - share) * below).astype(np.float64), luminance(light)[:, None])[:, 0]
     reaches = np.clip(luminance(received) / np.maximum(free, FLOOR), 0, 1)
-    bands = np.repeat(np.array(GLOSS.bands), (1, 3, 5))
+    bands = np.repeat(np.array(MIRROR.bands), (1, 3, 5))
     return mirrored_light(light, normals) * (reaches[:, None] * bands)[..., None]

@@ -12,6 +12,7 @@ cannot be told from the albedo and counts as 1.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import field, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from splatpainter.kernels import portable
 from splatpainter.kernels.parallel import each
 from splatpainter.lighting import unoccluded_transfer
 from splatpainter.lights.albedo_field import FieldWitnesses, both_readings, field_witnesses
+from splatpainter.lights.highlight_color import HighlightColor
 from splatpainter.lights.light_cast import cast
 from splatpainter.lights.light_prior import likely_light, likely_ways
 from splatpainter.order_statistics import groups, row_keys
@@ -90,6 +92,13 @@ class EstimateThresholds:
 
 LIMITS = EstimateThresholds()
 
+Highlights = Callable[[np.ndarray], HighlightColor | None]
+"""What mirror images in an asset say of the colour of a light whose luminance has these SH [9]."""
+
+
+def no_highlights(light: np.ndarray) -> HighlightColor | None:
+    """Of an asset that looks the same from all sides."""
+
 
 @dataclass(frozen=True)
 class SourceLight:
@@ -122,18 +131,22 @@ def estimate_source(
     trusted: np.ndarray,
     up: UpAxis = "auto",
     both: bool = True,
+    highlights: Highlights = no_highlights,
 ) -> SourceLight:
     """light: [N, 3] linear base colours; transfer: [N, 9] over pi (`LitSurface.transfer`); points: [N, 3]; trusted: [N]
-    bool Gaussians whose side is certain; up: where light usually comes from; both: with the second reading."""
+    bool Gaussians whose side is certain; up: where light usually comes from; both: with the second reading; highlights:
+    of the asset."""
     usable = trusted & unclipped(light)
     light, transfer, points = light[usable].astype(np.float64), transfer[usable] / SH_C0, points[usable]
-    estimate, ways, doubted = by_patches(light, transfer, points, up)
-    if estimate is None:
+    first = by_patches(light, transfer, points, up)
+    if first is None:
         return uniform_source("source light: uniform grey, for want of surface that could show another")
+    coefficients = first.grey
     seen = field_witnesses(light, transfer, points) if both else None
-    if seen is None:
-        return estimate
-    return replace(estimate, coefficients=_by_both(estimate.coefficients, seen, ways, doubted))
+    if seen is not None:
+        coefficients = _by_both(coefficients, seen, first.ways, first.doubted)
+    # Its mean colour last, as mirror images are looked for where this light would have them.
+    return replace(first.light, coefficients=_tinted(coefficients, first.patches, highlights))
 
 
 def unclipped(light: np.ndarray) -> np.ndarray:
@@ -141,25 +154,23 @@ def unclipped(light: np.ndarray) -> np.ndarray:
     return (light.max(1) < LIMITS.brightest) & (light.min(1) > LIMITS.darkest)
 
 
-def by_patches(
-    light: np.ndarray, transfer: np.ndarray, points: np.ndarray, up: UpAxis
-) -> tuple[SourceLight | None, list[tuple[np.ndarray, float]], float]:
-    """(the first reading, `likely_ways`, 0..1 how far it is in doubt); None and nothing where too little surface bears
-    witness. light: [M, 3] float64 linear; transfer: [M, 9] over that of an open surface under uniform light; points:
-    [M, 3]."""
-    shading, estimate, ways, doubted = np.ones_like(light), None, [], 0.0
+def by_patches(light: np.ndarray, transfer: np.ndarray, points: np.ndarray, up: UpAxis) -> PatchReading | None:
+    """The first reading; None where too little surface bears witness. light: [M, 3] float64 linear; transfer: [M, 9]
+    over that of an open surface under uniform light; points: [M, 3]."""
+    shading, reading = np.ones_like(light), None
     for number in range(2):
         # Once a light is known materials show: by hue the first time, then by what is left of hue and brightness.
         patches = _observations(light, transfer, points, light / shading, number > 0)
         if patches is None or len(patches.colors) < LIMITS.min_observations:
             break
-        coefficients, uncertainty, ways, doubted = _from_patches(patches, up)
+        grey, uncertainty, ways, doubted = _from_patches(patches, up)
         # Materials that were told apart by a light agree with it: what the first look doubted stays in doubt.
-        uncertainty = max(uncertainty, estimate.uncertainty) if estimate else uncertainty
+        uncertainty = max(uncertainty, reading.light.uncertainty) if reading else uncertainty
         note = f"source light: estimated, irradiance within {uncertainty:.0%}"
-        estimate = SourceLight(coefficients, uncertainty, note)
-        shading = np.maximum(portable.matmul(transfer * SH_C0, estimate.coefficients), LIMITS.min_shading)
-    return estimate, ways, doubted
+        coefficients = _tinted(grey, patches, no_highlights)
+        reading = PatchReading(SourceLight(coefficients, uncertainty, note), grey, ways, doubted, patches)
+        shading = np.maximum(portable.matmul(transfer * SH_C0, coefficients), LIMITS.min_shading)
+    return reading
 
 
 def _by_both(
@@ -179,7 +190,7 @@ def _by_both(
 
 
 def _from_patches(
-    patches: _Observations, up: UpAxis
+    patches: PatchWitnesses, up: UpAxis
 ) -> tuple[np.ndarray, float, list[tuple[np.ndarray, float]], float]:
     """([9, 3] SH, expected rms error of irradiance over its mean, `likely_ways`, 0..1 how far
     they are in doubt)."""
@@ -210,14 +221,18 @@ def _from_patches(
     channels = each(lambda channel: _fit(patches, patches.colors[:, channel], everything, chroma), range(3))
     for channel, fitted in enumerate(channels):
         coefficients[1:, channel] = (likely + belief * (fitted - everything)) / SH_C0
-    # Its mean colour: from what is left of the patches' hues where the shading is divided out.
-    shading = np.maximum(portable.matmul(patches.transfer * SH_C0, coefficients), LIMITS.min_shading)
-    tinted = coefficients * cast(patches.colors / shading, patches.weights)
-    return tinted, uncertainty, likely_ways(everything, variance, up), jackknife / (jackknife + LIMITS.sure)
+    return coefficients, uncertainty, likely_ways(everything, variance, up), jackknife / (jackknife + LIMITS.sure)
+
+
+def _tinted(grey: np.ndarray, patches: PatchWitnesses, highlights: Highlights) -> np.ndarray:
+    """[9, 3] SH in the mean colour that is likely: by what is left of the patches' hues where the shading is divided
+    out, and by mirror images."""
+    shading = np.maximum(portable.matmul(patches.transfer * SH_C0, grey), LIMITS.min_shading)
+    return grey * cast(patches.colors / shading, patches.weights, highlights(luminance(grey)))
 
 
 @dataclass(frozen=True)
-class _Observations:
+class PatchWitnesses:
     """Means over Gaussians of one patch that face one way."""
 
     colors: np.ndarray
@@ -231,15 +246,29 @@ class _Observations:
     parts: np.ndarray
     """[B] int64 0..LIMITS.parts - 1."""
 
-    def take(self, chosen: np.ndarray) -> _Observations:
+    def take(self, chosen: np.ndarray) -> PatchWitnesses:
         """Those of a mask [B] bool."""
         columns = (self.colors, self.transfer, self.weights, self.patches, self.parts)
-        return _Observations(*(column[chosen] for column in columns))
+        return PatchWitnesses(*(column[chosen] for column in columns))
+
+
+@dataclass(frozen=True)
+class PatchReading:
+    """A light by patches of one material each."""
+
+    light: SourceLight
+    grey: np.ndarray
+    """[9, 3] its SH before it has a colour in the mean."""
+    ways: list[tuple[np.ndarray, float]]
+    """`likely_ways`."""
+    doubted: float
+    """0..1."""
+    patches: PatchWitnesses = field(repr=False)
 
 
 def _observations(
     light: np.ndarray, transfer: np.ndarray, points: np.ndarray, albedo: np.ndarray, by_brightness: bool
-) -> _Observations | None:
+) -> PatchWitnesses | None:
     """albedo: [N, 3] what light may be without its shading; its hue, and brightness if asked, tells materials apart."""
     if len(light) < LIMITS.min_observations:
         return None
@@ -267,7 +296,7 @@ def _observations(
 
     # Parts are octants, as what misleads (a painted side, a clipped one) lies together.
     octants = (means(moved) >= 0) * np.array([1, 2, 4])
-    return _Observations(
+    return PatchWitnesses(
         colors=means(light),
         transfer=means(transfer),
         weights=np.sqrt(np.minimum(counts[enough], LIMITS.full_members) / LIMITS.full_members),
@@ -276,7 +305,7 @@ def _observations(
     )
 
 
-def _fit(seen: _Observations, values: np.ndarray, center: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def _fit(seen: PatchWitnesses, values: np.ndarray, center: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """[8] coefficients of bands 1 and 2 over that of band 0 that explain values [B]; prior: center and deviation."""
     if len(values) < LIMITS.min_observations // 2:
         return np.zeros(8)
