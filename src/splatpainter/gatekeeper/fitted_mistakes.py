@@ -1,36 +1,30 @@
-"""Mistakes of which the amount is not known: colours mixed, shaded towards the corners or from side to side, moved by a
-little. The amount that fits best is found first, then it is judged as every other mistake is.
+"""Mistakes of which the amount is not known: colours mixed, shaded, laid over softly, moved by a little. The amount
+that fits best is found first, then it is judged as every other mistake is.
 
 Pure. H, W: pixels of the view; h, w: of its small copy; colours are display sRGB 0..1.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from typing import TypeAlias
+from collections.abc import Iterator
 
 import numpy as np
 
-from splatpainter.color import LUMA, linear_to_srgb, srgb_to_linear
+from splatpainter.color import LUMA
+from splatpainter.gatekeeper.shades import shade_of
 from splatpainter.gatekeeper.small_copies import (
     COPIES,
-    Change,
     Explanation,
     Mistake,
     SmallView,
     explained_by,
     mean_difference,
 )
-from splatpainter.kernels import portable
 from splatpainter.kernels.portable import gram, matmul, solved, transposed_product
 from splatpainter.lift.masks import box_mean, dilated, largest_channel
 from splatpainter.order_statistics import median
 from splatpainter.pictures.picture_reader import resample
 from splatpainter.system.quick_dataclass import dataclass
-
-Field: TypeAlias = Callable[[tuple[int, ...]], np.ndarray]
-"""(H, W, ...) -> [H, W], one number for each pixel of a picture of that size."""
 
 
 @dataclass(frozen=True)
@@ -52,36 +46,12 @@ class FitThresholds:
     """Gains of saturation that are none."""
     max_hue_turn: float = 0.08
     """Largest entry of a mixture of channels that is left beside a gain of saturation."""
-    rings: int = 24
-    """Rings around the middle of a picture whose shade is measured each."""
-    min_lit: float = 0.04
-    """Brightness from which a pixel says how much light is left of it."""
-    min_left: float = 0.05
-    """Light that is left at least where a shade is taken back: of less, rounding is all that would be seen."""
-    min_ring_px: int = 8
-    """Pixels of a ring that say so, at least."""
-    max_middle_shade: float = 0.04
-    """Loss in the middle of a picture, up to which a shade towards its corners leaves the middle alone."""
-    max_covered_rings: int = 6
-    """Rings in the middle that paint may cover whole."""
-    max_middle_slope: float = 1.5
-    """Loss per square of the distance from the middle beyond such rings, at most."""
-    min_corner_shade: float = 0.1
-    """Loss in the outermost ring, at least."""
-    max_ring_rise: float = 0.02
-    """By how much a ring may be lighter than the one inside of it."""
-    min_background: float = 0.2
-    """Share of the bare background that a shade must change: paint stays on the asset, a shade does not."""
-    min_shade_explained: float = 0.8
-    """Share of the background that a shade changes that is as it makes it."""
-    min_shaded: float = 0.5
-    """Share of what picture and view show that agrees after a shade: the rest may be painted over."""
-    min_shaded_asset: float = 0.9
-    """The same where the background is spared: a free profile fits some of any paint."""
     soft_px: int = 4
     """Reach over which a soft brush is the same, pixels of a small copy."""
     min_soft: float = 0.9
     """Share of what differs that a soft brush explains."""
+    min_gain: float = 0.04
+    """Mean share of the render that must show through it."""
     min_texture: float = 1e-4
     """Variance of the colours around a pixel, from which it says how much of them is left."""
     min_gain_range: float = 0.08
@@ -116,9 +86,6 @@ class FitThresholds:
 FITS = FitThresholds()
 
 MIXED_WORDS = "with its hues turned, or its channels mixed or exchanged"
-VIGNETTE_WORDS = "darkened towards its corners (a vignette)"
-LIGHT_VIGNETTE_WORDS = "lightened towards its corners (a vignette)"
-GRADIENT_WORDS = "darkened or lightened from side to side (a gradient over all of it)"
 SOFT_WORDS = "painted over softly everywhere, its background too, or shaded as a whole"
 EVEN_WORDS = "darkened, lightened or tinted as a whole, or its transparency was lost"
 MOVED_WORDS = "moved, scaled or turned by a little"
@@ -129,11 +96,14 @@ APART_WORDS = "of colours that lie beside each other (chromatic aberration, or a
 def fitted_mistakes(view: SmallView) -> Iterator[Explanation]:
     """Explanations by mistakes whose amount fits the picture best: channels mixed, shaded as a whole."""
     mixed = _mixed_channels(view)
-    for made, min_explained in (*(() if mixed is None else ((mixed, FITS.min_mixed),)), *_shadings(view)):
-        explanation = explained_by(*made, view)
+    if mixed is not None:
+        explanation = explained_by(*mixed, view)
         # What is fitted to a picture explains some of any picture.
-        if explanation is not None and explanation.agreeing_after >= min_explained:
+        if explanation is not None and explanation.agreeing_after >= FITS.min_mixed:
             yield explanation
+    shade = shade_of(view)
+    if shade is not None:
+        yield shade
 
 
 def _mixed_channels(view: SmallView) -> tuple[Mistake, np.ndarray] | None:
@@ -187,145 +157,6 @@ def _mixture_words(full: np.ndarray) -> str:
     return MIXED_WORDS
 
 
-def _shadings(view: SmallView) -> Iterator[tuple[tuple[Mistake, np.ndarray], float]]:
-    """Shades that fit the picture best, and what each makes of the view [h, w, 3], and the share of the picture that
-    they must explain: towards the corners, dark and light, and from side to side."""
-    for dark in (True, False):
-        # Towards white is what towards black is of the negative; lenses and some sliders shade light, not values.
-        for linear in (False, True) if dark else (False,):
-            before, after = (_toward_black(image, dark, linear) for image in (view.render, view.picture))
-            brightness = before.mean(-1)
-            lit = (brightness > FITS.min_lit) & (view.solid if view.paint_is_on_asset else True)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                left = np.where(lit, after.mean(-1) / brightness, 1)
-            vignette = VIGNETTE_WORDS if dark else LIGHT_VIGNETTE_WORDS
-            fields = [(vignette, _rings(left, lit, radius)) for radius in (_oval, _round)]
-            for words, field in (*fields, (GRADIENT_WORDS, _slope(left, lit))):
-                if field is None:
-                    continue
-                made = _from_black(before * field(view.alpha.shape)[..., None], dark, linear).astype(np.float32)
-                if not _may_be_on_asset(made, view):
-                    continue
-                undone = _unshaded(field, dark, linear)
-                if _is_on_background(made, view):
-                    yield (Mistake("shade", words, lambda colors: colors, undone, "middle"), made), FITS.min_shaded
-                elif view.paint_is_on_asset and words == vignette:
-                    made = np.where(view.bare[..., None], view.render, made)
-                    words = f"{words}, but for its background"
-                    mistake = Mistake("shade", words, lambda colors: colors, undone, "background")
-                    yield (mistake, made), FITS.min_shaded_asset
-
-
-def _may_be_on_asset(made: np.ndarray, view: SmallView) -> bool:
-    """Whether the asset, too, is not as it was rendered where a shade reaches it: another ground around it is none."""
-    shaded = view.solid & (mean_difference(made, view.render) > COPIES.min_predicted)
-    return not shaded.any() or float(view.unchanged[shaded].mean()) <= COPIES.max_contradicting
-
-
-def _toward_black(colors: np.ndarray, dark: bool, linear: bool) -> np.ndarray:
-    """Colours [H, W, 3] in what a shade multiplies."""
-    colors = np.clip(colors if dark else 1 - colors, 0, 1)
-    return srgb_to_linear(colors) if linear else colors
-
-
-def _from_black(colors: np.ndarray, dark: bool, linear: bool) -> np.ndarray:
-    """The inverse of `_toward_black`."""
-    colors = np.clip(colors, 0, 1)
-    colors = linear_to_srgb(colors) if linear else colors
-    return colors if dark else 1 - colors
-
-
-def _unshaded(field: Field, dark: bool, linear: bool) -> Change:
-    def undone(colors: np.ndarray) -> np.ndarray:
-        light = np.maximum(field(colors.shape[:2]), FITS.min_left)
-        return _from_black(_toward_black(colors, dark, linear) / light[..., None], dark, linear)
-
-    return undone
-
-
-def _across(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """[H, W] x and y of a picture's pixels, -1..1 from side to side."""
-    height, width = shape[:2]
-    y, x = np.mgrid[:height, :width] + 0.5
-    return 2 * x / width - 1, 2 * y / height - 1
-
-
-def _oval(shape: tuple[int, ...]) -> np.ndarray:
-    """[H, W] 0 in the middle, 1 in the corners, along ellipses of the picture's shape."""
-    return portable.hypot(*_across(shape)) / math.sqrt(2)
-
-
-def _round(shape: tuple[int, ...]) -> np.ndarray:
-    """The same along circles."""
-    (x, y), (height, width) = _across(shape), shape[:2]
-    return portable.hypot(x * width, y * height) / portable.hypot(width, height)
-
-
-def _rings(left: np.ndarray, lit: np.ndarray, radius: Field) -> Field | None:
-    """The light that is left, by its distance from the middle; None where that is no shade towards the corners. left,
-    lit: [h, w]; radius: 0..1 of each pixel."""
-    ring = np.minimum((radius(left.shape) * FITS.rings).astype(int), FITS.rings - 1)
-    centers, values = [], []
-    for number in range(FITS.rings):
-        inside = lit & (ring == number)
-        if inside.sum() >= FITS.min_ring_px:
-            centers.append((number + 0.5) / FITS.rings)
-            values.append(float(median(left[inside])))
-    if len(values) < FITS.rings // 2:
-        return None
-    # Most dabs are in the middle, where they cover rings whole: there the light rises as the square of the distance.
-    for covered in range(FITS.max_covered_rings + 1):
-        inner = centers[covered]
-        middle = FITS.max_middle_shade + (FITS.max_middle_slope * inner * inner if covered else 0)
-        rest = np.asarray(values[covered:])
-        if np.diff(rest).max() <= FITS.max_ring_rise and -FITS.max_middle_shade <= 1 - rest[0] <= middle:
-            break
-    else:
-        return None
-    if covered:  # the next one may be covered in part
-        covered, rest, inner = covered + 1, rest[1:], centers[covered + 1]
-    within = np.asarray(centers[:covered])
-    profile = np.concatenate([1 - (1 - rest[0]) * (within / inner) ** 2, rest])
-    if profile[0] - profile[-1] < FITS.min_corner_shade:
-        return None
-    return lambda shape: portable.interp(radius(shape), centers, profile)
-
-
-def _slope(left: np.ndarray, lit: np.ndarray) -> Field | None:
-    """The light that is left, as a plane over the picture; None where it is level. left, lit: [h, w]."""
-    x, y = _across(left.shape)
-    terms = np.stack([np.ones_like(x), x, y], -1)
-    samples, values, weight = terms[lit], left[lit], np.ones(int(lit.sum()))
-    if len(values) < FITS.min_colored:
-        return None
-    plane = np.zeros((3, 1))
-    for _ in range(FITS.reweightings):
-        normal = gram(samples, weight) + 1e-6 * np.eye(3)
-        plane = solved(normal, transposed_product(samples, (weight * values)[:, None]))
-        error = np.abs(values - matmul(samples, plane)[:, 0])
-        weight = 1 / (1 + (error / max(float(median(error)), FITS.min_deviation)) ** 2)
-    if np.abs(plane[1:]).sum() < FITS.min_corner_shade / 2:
-        return None
-    constant, across, down = plane[:, 0].tolist()
-
-    def field(shape: tuple[int, ...]) -> np.ndarray:
-        x, y = _across(shape)
-        return constant + across * x + down * y
-
-    return field
-
-
-def _is_on_background(made: np.ndarray, view: SmallView) -> bool:
-    bare = view.bare
-    if bare.mean() < COPIES.min_bare_share:
-        return False
-    shaded = bare & (mean_difference(made, view.render) > COPIES.min_predicted)
-    if shaded.sum() < FITS.min_background * bare.sum():
-        return False
-    agrees = mean_difference(view.picture, made) <= COPIES.max_difference
-    return bool(agrees[shaded].mean() >= FITS.min_shade_explained)
-
-
 def laid_softly(view: SmallView) -> Explanation | None:
     """Whether one colour, laid over it more here and less there, makes the view the picture everywhere: a very large
     soft brush, which may be meant; or as much of it everywhere, which is none."""
@@ -340,7 +171,7 @@ def laid_softly(view: SmallView) -> Explanation | None:
     if not differs.any():
         return None
     agrees = mean_difference(view.picture, made) <= COPIES.max_difference
-    if agrees[differs].mean() < FITS.min_soft or float(gain[differs].mean()) < FITS.min_lit:
+    if agrees[differs].mean() < FITS.min_soft or float(gain[differs].mean()) < FITS.min_gain:
         return None
     # The same everywhere is no brush: a layer that was multiplied by its transparency, or one of a flat colour.
     textured = gain[differs & (away > FITS.min_texture)]
