@@ -18,6 +18,7 @@ from splatpainter.cameras import Camera, look_at
 from splatpainter.image_files import find_camera
 from splatpainter.pictures import picture_reader
 from splatpainter.pictures.edit_files import edit_from_files
+from splatpainter.pictures.foreign_pictures import READ_KINDS
 from splatpainter.pictures.picture_reader import read_picture
 
 
@@ -76,7 +77,7 @@ def test_a_tiff_of_too_many_samples_is_one_line_and_nothing_on_stderr(
     ]
     path.write_bytes(tiff_of(tags))
     monkeypatch.setattr(logging.getLogger("PIL"), "propagate", False)  # pytest listens, a user's process does not
-    with pytest.raises(ValueError, match="expected a PNG, JPEG, WebP or TIFF|cannot be read"):
+    with pytest.raises(ValueError, match="expected a PNG, JPEG, WebP, TIFF|cannot be read"):
         read_picture(path)
     assert capfd.readouterr().err == ""
 
@@ -118,7 +119,8 @@ def test_a_tiff_packed_by_webp_is_one_line_and_nothing_on_stderr(
     ]
     path.write_bytes(tiff_of(tags))
     with pytest.raises(
-        ValueError, match=r"a.tif: expected a PNG, JPEG, WebP or TIFF picture, got a TIFF packed by WebP"
+        ValueError,
+        match=rf"a.tif: expected a {READ_KINDS} picture, got a TIFF packed by WebP",
     ):
         read_picture(path)
     assert capfd.readouterr().err == ""

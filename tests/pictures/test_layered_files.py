@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from splatpainter.pictures.foreign_pictures import READ_KINDS
 from splatpainter.pictures.picture_reader import declared_size, read_picture
 from tests.test_sources import icc, srgb_coded
 
@@ -215,17 +216,17 @@ def test_a_zip_without_a_picture_or_with_a_damaged_one_is_one_line(tmp_path: Pat
         (b"\0\0\0\x18ftypheic" + bytes(40), "a HEIC picture; export it as PNG"),
         (b"\0\0\0\x18ftypavif" + bytes(40), "an AVIF picture; export it as PNG"),
         (b"something else" + bytes(40), "another kind of file; export it as PNG"),
-        (b"\n  <!DOCTYPE html><html>log in</html>", "a web page; export it as PNG"),
-        (b"\xef\xbb\xbf<!doctype HTML><html>", "a web page; export it as PNG"),
+        (b"\n  <!DOCTYPE html><html>log in</html>", "a web page; download the picture itself"),
+        (b"\xef\xbb\xbf<!doctype HTML><html>", "a web page; download the picture itself"),
         (b"\xff\xd8\xff\xf7" + bytes(40), "a JPEG-LS picture; export it as PNG"),
         (b"#?RGBE\n" + bytes(40), "a Radiance HDR picture; export it as PNG"),
         (b"\x01\xda\x01\x01" + bytes(40), "an SGI picture; export it as PNG"),
         (b'<?xml version="1.0"?><svg/>', "an XML or SVG file; export it as PNG"),
-        (b"II*\0\x10\0\0\0CR\2\0" + bytes(40), "a raw photograph; export it as PNG"),
+        (b"II*\0\x10\0\0\0CR\2\0" + bytes(40), "a raw photograph; develop it, and export that as PNG"),
         (b"qoif" + bytes(40), "a QOI picture; export it as PNG"),
         (
             b"version https://git-lfs.github.com/spec/v1\noid sha256:0",
-            "a pointer of Git LFS (git lfs pull fetches what it stands for); export it as PNG",
+            "a pointer of Git LFS; git lfs pull fetches what it stands for",
         ),
     ],
 )
@@ -234,7 +235,7 @@ def test_what_is_not_read_is_named(data: bytes, words: str, tmp_path: Path) -> N
     path.write_bytes(data)
     with pytest.raises(ValueError) as refusal:
         read_picture(path)
-    assert str(refusal.value) == f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {words}"
+    assert str(refusal.value) == f"{path}: expected a {READ_KINDS} picture, got {words}"
 
 
 def test_an_empty_picture_is_named(tmp_path: Path) -> None:

@@ -26,66 +26,11 @@ MERGED = "mergedimage.png"
 """Name of the flattened picture in OpenRaster and Krita files."""
 MAX_MERGED_BYTES = 512 << 20
 """Most bytes of it."""
-FOREIGN = {
-    b"gimp xcf": "a file of GIMP's layers (XCF)",
-    b"GIF8": "a GIF",
-    b"BM": "a BMP",
-    b"\x00\x00\x01\x00": "an icon",
-    b"\xff\x0a": "a JPEG XL picture",
-    b"\x00\x00\x00\x0cJXL ": "a JPEG XL picture",
-    b"%PDF": "a PDF",
-    b"CSFCHUNK": "a Clip Studio file",
-    b"PDN3": "a Paint.NET file",
-    b"\x00\xffKA": "an Affinity document",
-    b"\x00\x00\x00\x0cjP  ": "a JPEG 2000 picture",
-    b"\xff\x4f\xff\x51": "a JPEG 2000 picture",
-    b"P6": "a PPM picture",
-    b"\x0a\x05\x01": "a PCX picture",
-    b"DDS ": "a DDS texture",
-    b"\xabKTX ": "a KTX texture",
-    b"qoif": "a QOI picture",
-    b"#?RGBE": "a Radiance HDR picture",
-    b"PF\n": "a PFM picture",
-    b"Pf\n": "a PFM picture",
-    b"P5": "a PGM picture",
-    b"P7": "a PAM picture",
-    b"\x01\xda": "an SGI picture",
-    b"II\xbc": "a JPEG XR picture",
-    b"\xff\xd8\xff\xf7": "a JPEG-LS picture",
-    b"%!PS": "a PostScript file",
-    b"<svg": "an SVG drawing",
-    b"<?xml": "an XML or SVG file",
-    b"<!doctype": "a web page",
-    b"<html": "a web page",
-    b"version https://git-lfs": "a pointer of Git LFS (git lfs pull fetches what it stands for)",
-    b"II*\x00\x10\x00\x00\x00CR": "a raw photograph",
-    b"FUJIFILMCCD-RAW": "a raw photograph",
-    # Of a kind that is read, in a form that is not: these come last.
-    b"\xff\xd8\xff": "a JPEG of a kind that is not read (12 bits, lossless, or damaged)",
-    b"\x89PNG": "a damaged PNG",
-    b"II*\0": "a TIFF that is packed, or has numbers, in a way that is not read",
-    b"MM\0*": "a TIFF that is packed, or has numbers, in a way that is not read",
-    b"II+\0": "a TIFF that is packed, or has numbers, in a way that is not read",
-    b"MM\0+": "a TIFF that is packed, or has numbers, in a way that is not read",
-}
-"""First bytes of files that picture programs save and nobody reads here; of texts in any capitals."""
-BRANDS = {b"heic": "a HEIC picture", b"heix": "a HEIC picture", b"mif1": "a HEIC picture", b"avif": "an AVIF picture"}
 RGB_MODE, GREY_MODE = 3, 1
 MODES = {0: "a bitmap", 2: "indexed colours", 4: "CMYK", 7: "multichannel", 8: "duotone", 9: "Lab"}
 PROFILE_RESOURCE, VERSION_RESOURCE, CHANNEL_NAMES_RESOURCE = 1039, 1057, 1006
 MAX_RESOURCES = 4096
 MAX_PROFILE_BYTES = 16 << 20
-
-
-def foreign_kind(path: Path) -> str | None:
-    """What a file is that is exported as PNG before it is used: "a GIF"; None of others."""
-    head = first_bytes(path, 64)
-    if head[4:8] == b"ftyp":
-        return BRANDS.get(head[8:12])
-    # Texts may begin with a mark of UTF-8 or white space, tags in any capitals.
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    heads = (head, text, text.lower())
-    return next((words for magic, words in FOREIGN.items() if any(one.startswith(magic) for one in heads)), None)
 
 
 def is_psd(path: Path) -> bool:

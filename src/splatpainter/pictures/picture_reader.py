@@ -43,9 +43,9 @@ from splatpainter.pictures.color_profiles import (
     primaries_to_srgb,
 )
 from splatpainter.pictures.encodings import Encoding, encoding_of, stored_in
+from splatpainter.pictures.foreign_pictures import READ_KINDS, is_raw_tiff, refusal
 from splatpainter.pictures.layered_files import (
     first_bytes,
-    foreign_kind,
     is_psd,
     is_zip,
     merged_png,
@@ -123,6 +123,7 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
             return read_picture(merged, inks=inks)
     if is_psd(path):
         return _composite(path)
+    _check_developed(path)
     check_complete(path)
     if _is_tiff_beyond_pillow(path):
         return _beyond_pillow(read_deep(path, MAX_PICTURE_PIXELS))
@@ -165,6 +166,12 @@ def read_picture(path: Path, *, inks: bool = True) -> Picture:
         return _in_srgb(Picture(pixels, alpha, tuple(notes), encoding), stated.statement)
 
 
+def _check_developed(path: Path) -> None:
+    """Raises ValueError: a raw photograph in a TIFF, whose first page is a preview, or what a sensor counted."""
+    if is_raw_tiff(path):
+        raise ValueError(f"{path}: {refusal(path)}")
+
+
 def _without_unusable_profile(path: Path, image: Image, stated: PngColors) -> tuple[PngColors, tuple[str, ...]]:
     """(what counts, notes): what a file says of its colours otherwise, where it has no profile or none that is read."""
     if not stated.profiled:
@@ -200,6 +207,7 @@ def _is_profile(profile: bytes) -> bool:
 def declared_size(path: Path) -> tuple[int, int] | None:
     """(width, height) by a picture's header, before EXIF turns it: nothing is decoded. None for OpenEXR, Radiance
     and TIFF of floats, whose windows the reader judges. Raises ValueError as `read_picture`."""
+    _check_developed(path)
     if is_light(path) or _is_tiff_beyond_pillow(path):
         return None
     if is_psd(path):
@@ -257,11 +265,7 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
         try:
             image = Image.open(path, formats=PICTURE_KINDS)
         except UnidentifiedImageError:
-            kind = foreign_kind(path)
-            actual = kind or "another kind of file"
-            raise ValueError(
-                f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {actual}; export it as PNG"
-            ) from None
+            raise ValueError(f"{path}: {refusal(path)}") from None
         except Image.DecompressionBombError:
             raise ValueError(f"{path}: expected {SIZE_LIMIT}; scale it down") from None
         except Exception as error:
@@ -273,7 +277,7 @@ def _opened(path: Path, decode: bool = True) -> Iterator[Image]:
                 raise ValueError(f"{path}: expected {SIZE_LIMIT}, got {actual}; scale it down")
             _check_still(path, image)
             if image.format == "TIFF" and image.info.get("compression") == "webp":  # libtiff would print its regrets
-                raise ValueError(f"{path}: expected a PNG, JPEG, WebP or TIFF picture, got {TIFF_NOT_READ}")
+                raise ValueError(f"{path}: expected a {READ_KINDS} picture, got {TIFF_NOT_READ}")
             try:
                 if decode:
                     with _quiet_libtiff(image):

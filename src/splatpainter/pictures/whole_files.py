@@ -141,7 +141,7 @@ def _check_png(file: BinaryIO, path: Path) -> None:
 
 
 def _check_tiff(file: BinaryIO, size: int, path: Path) -> None:
-    tags = _first_page(file, size, path)
+    tags = first_page(file, size, path)
     tiled = CODES.tile_offsets in tags
     offsets = tags.get(CODES.tile_offsets if tiled else CODES.strip_offsets, ())
     counts = tags.get(CODES.tile_bytes if tiled else CODES.strip_bytes, ())
@@ -177,8 +177,8 @@ def _check_tiff(file: BinaryIO, size: int, path: Path) -> None:
             return
 
 
-def _first_page(file: BinaryIO, size: int, path: Path) -> dict[int, tuple[int, ...]]:
-    """Tag -> its integers, of a TIFF's first page; tags that make no sense are left out."""
+def first_page(file: BinaryIO, size: int, path: Path) -> dict[int, tuple[int, ...]]:
+    """Tag -> its integers, of a TIFF's first page; tags that make no sense are left out. Raises ValueError: damaged."""
     file.seek(0)
     head = file.read(16)
     order, big = "<" if head[:2] == b"II" else ">", head[2:4] in (b"+\0", b"\0+")

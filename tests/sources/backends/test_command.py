@@ -101,7 +101,7 @@ def test_templates_that_are_refused(template: str, line: str) -> None:
         ),
         (
             "import sys; open(sys.argv[1], 'w').write('<html>')",
-            "its picture: expected a PNG, JPEG, WebP or TIFF picture",
+            "its picture: expected a PNG, JPEG, WebP, TIFF, OpenEXR, Radiance, PSD, PSB, OpenRaster or Krita picture",
         ),
         ("import sys; open(sys.argv[1], 'w')", "its picture: is empty"),
         ("import os, sys; os.mkdir(sys.argv[1])", "its picture: is a folder"),

@@ -14,6 +14,7 @@ from email.utils import formatdate
 import numpy as np
 import pytest
 
+from splatpainter.pictures.foreign_pictures import READ_KINDS
 from splatpainter.sources.backends import http
 from splatpainter.sources.backends.http import retry_seconds
 from splatpainter.sources.picture_source import PictureAnswer, PictureRequest, SourceCancelled, SourceError
@@ -118,7 +119,10 @@ def test_answers_of_gemini_that_are_no_picture(service: FakeService, reply: obje
         (animated(), "expected a still picture, got PNG with 2 frames"),
         (inks(), "expected RGB colours, got CMYK"),
         (bomb(), "at most 67 megapixels"),
-        (b"GIF89a", "expected a PNG, JPEG, WebP or TIFF picture, got a GIF; export it as PNG"),
+        (
+            b"GIF89a",
+            f"expected a {READ_KINDS} picture, got a GIF; export it as PNG",
+        ),
         (png()[:60], "damaged|cannot be read"),
     ],
 )

@@ -17,6 +17,7 @@ from splatpainter.io.files import read_head, reading
 from splatpainter.io.formats import gltf, sog_container
 from splatpainter.io.formats.ply_header import read_header
 from splatpainter.lights.rig_files import MAX_RIG_BYTES, RIG_SUFFIXES
+from splatpainter.pictures.foreign_pictures import READ_KINDS, advice_for, foreign_kind
 from splatpainter.pictures.layered_files import holds_merged, is_psd, psd_size
 from splatpainter.pictures.picture_reader import MAX_PICTURE_PIXELS, PICTURE_KINDS, SIZE_LIMIT, declared_size
 from splatpainter.system.quick_dataclass import dataclass
@@ -69,7 +70,9 @@ def sniff(path: Path, name: str, max_gaussians: int) -> UploadInfo:
         return light
     key = _detected(path, name)
     if key is None:
-        raise ValueError(f"{title}: expected a picture (PNG, JPEG, WebP, TIFF), a splat file or a project")
+        foreign = foreign_kind(path, name)
+        what = f", got {foreign}; {advice_for(foreign)}" if foreign else ""
+        raise ValueError(f"{title}: expected a picture ({READ_KINDS}), a splat file or a project{what}")
 
     # The count is read from the header: a small file may claim more than any memory holds.
     try:
