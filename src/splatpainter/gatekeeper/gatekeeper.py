@@ -192,7 +192,9 @@ def admit(
     factor = 1 if enlarged is None else _factor(registration, size, request.scale)
     drift = NO_DRIFT
     if mask is not None or not regraded:
-        drift = estimate_drift(aligned, render, task.outside & inside, mask is not None and mask_sent)
+        # What was lost before, as colours to grey, is no drift.
+        beside = render if resampled is None else resampled
+        drift = estimate_drift(aligned, beside, task.outside & inside, mask is not None and mask_sent)
     # Enlarged pictures are to be consistent with the render, so they have no tone of their own.
     toned = tones and factor == 1 and _is_toned(task, aligned, inside, drift)
     _check_drift(task, drift, toned)

@@ -33,6 +33,7 @@ from splatpainter.gatekeeper.small_copies import (
     explained_by,
     mean_difference,
 )
+from splatpainter.gatekeeper.tone_curves import GRADED_BY_CURVES, curves_of, graded_by_curves, left_after
 from splatpainter.kernels.portable import dot, matmul, power
 from splatpainter.lift.masks import MASKS, box_mean, contrast, largest_channel, largest_difference
 from splatpainter.order_statistics import median
@@ -153,6 +154,12 @@ class MistakeThresholds:
     30 pixels and scales of 5 and 15 % 0.79 to 1.00, with a large dab over them 0.48 to 0.85; glows 0.00."""
     max_left_behind: float = 0.1
     """Share of what a move changes that may be as it was rendered: a part that was moved by hand leaves the rest."""
+    max_left_by_curves: float = 0.7
+    """What curves leave of a grade, in parts of what else takes it back leaves, up to which they take it back."""
+    max_left_by_mistake: float = 3 / 255
+    """What a known mistake leaves of most of the asset, at most, to be called so where curves leave less."""
+    min_gain: float = 0.02
+    """Share that must agree with curves beyond that with another mistake, from which they are likelier."""
     min_moved_px: float = 0.8
     """Pixels of a small copy from which it was moved."""
 
@@ -184,6 +191,15 @@ SRGB_TO_ADOBE = np.array([[0.7151256, 0.2848744, 0], [0, 1, 0], [0, 0.0411619, 0
 """Linear sRGB to linear Adobe RGB (1998) (both D65)."""
 ADOBE_TO_SRGB = np.array([[1.39835576, -0.39835576, 0], [0, 1, 0], [0, -0.04292894, 1.04292894]])
 """Its inverse."""
+SRGB_TO_PROPHOTO = np.array(
+    [[0.5293178, 0.3300928, 0.1405894], [0.0983744, 0.8734610, 0.0281647], [0.0168832, 0.1176725, 0.8654443]]
+)
+"""Linear sRGB (D65) to linear ProPhoto RGB (D50, adapted by Bradford's matrix)."""
+PROPHOTO_TO_SRGB = np.array(
+    [[2.0341926, -0.7274198, -0.3067655], [-0.2288108, 1.2317292, -0.0029216], [-0.0085649, -0.1532726, 1.1618390]]
+)
+"""Its inverse."""
+PROPHOTO_GAMMA = 1.8
 LUMA_601 = (0.299, 0.587, 0.114)
 """Weights of Rec. 601, by which many programs make grey."""
 ADOBE_GAMMA = 563 / 256
@@ -227,6 +243,8 @@ _to_p3 = _primaries(SRGB_TO_P3, _encoded, _linear)
 _from_p3 = _primaries(P3_TO_SRGB, _encoded, _linear)
 _to_adobe = _primaries(SRGB_TO_ADOBE, _power(1 / ADOBE_GAMMA), _linear)
 _from_adobe = _primaries(ADOBE_TO_SRGB, _encoded, _power(ADOBE_GAMMA))
+_to_prophoto = _primaries(SRGB_TO_PROPHOTO, _power(1 / PROPHOTO_GAMMA), _linear)
+_from_prophoto = _primaries(PROPHOTO_TO_SRGB, _encoded, _power(PROPHOTO_GAMMA))
 TURNS = (
     Mistake("turned", "mirrored from left to right", lambda p: p[:, ::-1], lambda p: p[:, ::-1]),
     Mistake("turned", "mirrored from top to bottom", lambda p: p[::-1], lambda p: p[::-1]),
@@ -245,6 +263,7 @@ COLORS = (
     Mistake("colors", "converted from Display P3 although it was sRGB", _from_p3, _to_p3, "grey"),
     Mistake("colors", "made of Adobe RGB numbers without their profile", _to_adobe, _from_adobe, "grey"),
     Mistake("colors", "converted from Adobe RGB although it was sRGB", _from_adobe, _to_adobe, "grey"),
+    Mistake("colors", "made of ProPhoto RGB numbers without their profile", _to_prophoto, _from_prophoto),
     Mistake("colors", "with red and blue exchanged", lambda p: p[..., ::-1], lambda p: p[..., ::-1], "grey"),
     Mistake("colors", "inverted (a negative)", lambda p: 1 - p, lambda p: 1 - p),
     Mistake("colors", "grey", _grey(LUMA), spares="grey"),
@@ -268,6 +287,18 @@ def explain(
     view = SmallView.of(picture, render, alpha)
     if not view.compared.any():
         return None
+    explanation = _explained(picture, render, alpha, view, with_other_axes)
+    return None if explanation is None else _taken_back_by_curves(explanation, view)
+
+
+def _explained(
+    picture: np.ndarray,
+    render: np.ndarray,
+    alpha: np.ndarray,
+    view: SmallView,
+    with_other_axes: Callable[[Size], Iterable[tuple[str, np.ndarray]]] | None,
+) -> Explanation | None:
+    """As `explain`, of a view's small copies."""
     intact = intact_share(picture, render, alpha)
     raised = raised_contrast(picture, render, alpha, view.agreeing) if intact < MISTAKES.max_raised_intact else None
     if view.agreeing <= MISTAKES.min_alike:
@@ -286,6 +317,12 @@ def explain(
         painted = _graded_under_paint(view, nothing_left) if graded is None else None
         if painted is not None and (likeliest is None or _explains_more(painted, likeliest)):
             likeliest = painted
+        # A shade, or a known gamma, that explains a part may be a curve that explains all.
+        if likeliest is None or likeliest.cause in ("shade", "colors"):
+            curved = graded_by_curves(view)
+            explained = 0.0 if likeliest is None else likeliest.agreeing_after + MISTAKES.min_gain
+            if curved is not None and curved.agreeing_after > explained and not _is_glazed(view, curved):
+                likeliest = curved
         if likeliest is not None:
             return likeliest
     if raised is not None:
@@ -309,6 +346,28 @@ def explain(
         return None
     softly = laid_softly(view)
     return softly or _of_other_axes(view, with_other_axes) or _posterised(picture, view) or _something_else(view)
+
+
+def _taken_back_by_curves(explanation: Explanation, view: SmallView) -> Explanation:
+    """The same, taken back by curves that were fitted to the picture where these leave less than what it has: tone
+    mapping resembles a gamma, and no gain takes back contrast."""
+    mistake = explanation.mistake
+    if explanation.cause not in ("colors", "tone") or (mistake is not None and mistake.spares != "nothing"):
+        return explanation
+    curves = curves_of(view)
+    if curves is None:
+        return explanation
+    after = left_after(curves.undone(view.picture), view)
+    before = np.inf
+    if mistake is not None and mistake.undone is not None:
+        before = left_after(np.asarray(mistake.undone(view.picture), np.float32), view)
+    if after > COPIES.max_difference or after > MISTAKES.max_left_by_curves * before:
+        return explanation
+    cause, words = explanation.cause, explanation.words
+    # A known gamma that is so far off is none.
+    if cause == "colors" and before > MISTAKES.max_left_by_mistake:
+        cause, words = "tone", GRADED_BY_CURVES
+    return replace(explanation, cause=cause, words=words, mistake=Mistake(cause, words, curves.made, curves.undone))
 
 
 def _may_be_moved(view: SmallView, intact: float) -> bool:
@@ -560,6 +619,14 @@ def _glaze_color(view: SmallView, solid: np.ndarray) -> np.ndarray | None:
     left = np.abs(gain * before + (1 - gain) * color - after).max(1)
     possible = MISTAKES.min_glaze_gain <= gain < MISTAKES.max_glaze_gain and color.min() > -0.1 and color.max() < 1.1
     return color if possible and (left <= COPIES.max_difference).mean() > MISTAKES.min_glazed else None
+
+
+def _is_glazed(view: SmallView, curved: Explanation) -> bool:
+    """Whether what curves explain may be one colour that was laid over the asset alone."""
+    if curved.mistake is None or not view.paint_is_on_asset:
+        return False
+    made = np.asarray(curved.mistake.made(view.render), np.float32)
+    return _glaze_color(replace(view, picture=made), view.solid) is not None
 
 
 def _is_mean_color(color: np.ndarray, before: np.ndarray) -> bool:

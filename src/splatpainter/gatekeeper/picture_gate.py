@@ -18,7 +18,7 @@ from splatpainter.cameras import Camera
 from splatpainter.color import to_display
 from splatpainter.gatekeeper.borders import BORDER_NOTE, border_or_strip, framed_picture, with_rim
 from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain, filtered
-from splatpainter.gatekeeper.small_copies import visible_after
+from splatpainter.gatekeeper.small_copies import Mistake, visible_after
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
 from splatpainter.kernels.parallel import beside
@@ -178,7 +178,9 @@ def _advice(explanation: Explanation) -> str:
         ways.insert(0, "--mode global takes it as a look of the whole asset")
     # A grade of the asset alone, and most filters, are taken back by no mistake.
     can_be_undone = explanation.cause not in ("filter", "tone") or explanation.mistake is not None
-    if explanation.cause not in ("axes", "other") and can_be_undone:
+    if _is_lost(explanation):
+        ways.append("--correct paints what was painted on it")
+    elif explanation.cause not in ("axes", "other") and can_be_undone:
         ways.append("--correct puts it right and paints what is left")
     return f"nothing was painted: {', '.join(ways)}, --force paints with it as it is"
 
@@ -285,6 +287,31 @@ def _with_other_axes(splats: Splats, camera: Camera, size: Size) -> Iterator[tup
         yield words, np.clip(to_display(drawn, splats.color_space), 0, 1)
 
 
+def _is_lost(explanation: Explanation | None) -> bool:
+    """Whether colours were lost that nothing brings back, while it is known what is left of those of the view: grey."""
+    mistake = None if explanation is None else explanation.mistake
+    return mistake is not None and mistake.cause == "colors" and mistake.undone is None
+
+
+def _without_loss(
+    source: PictureFile, view: _ComparedView, colors: np.ndarray, mistake: Mistake | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """(a picture [H, W, 3] after a mistake was undone, what the same mistake and the way that its file was stored leave
+    of the view [H, W, 3]); None of the latter where nothing is lost."""
+    expected = view.render if mistake is None else np.ascontiguousarray(mistake.made(view.render), np.float32)
+    undone = None if mistake is None else mistake.undone
+    taken_back = colors if undone is None else np.ascontiguousarray(undone(colors), np.float32)
+    # Of a larger picture, or one that was turned, nobody knows on which pixels it was stored.
+    is_at_size = source.original_size == (view.camera.width, view.camera.height) and expected.shape == colors.shape
+    encoding = source.picture.encoding if is_at_size else None
+    if encoding is None and is_at_size:
+        encoding = guessed_encoding(view.colors, expected, view.cover)
+    if encoding is not None:
+        stored = encoding.fitted(colors, expected, view.cover).applied(expected)
+        return taken_back, stored if undone is None else np.ascontiguousarray(undone(stored), np.float32)
+    return taken_back, expected if mistake is not None and undone is None else None
+
+
 def _corrected(
     source: PictureFile,
     view: _ComparedView,
@@ -302,17 +329,22 @@ def _corrected(
     as_compared = source.picture.alpha is not None or window is not None
     colors, notes = view.colors if as_compared else source.picture.colors, list(source.notes)
     # First the mistake is undone, then the rest is a source's picture like any other.
-    mistake, resampled = None if explanation is None else explanation.mistake, None
-    if explanation is not None and mistake is not None and mistake.undone is not None:
-        if explanation.cause == "moved":  # what resampling alone changes is told from paint
-            colors = view.colors  # of a larger one, too: what it lies beside was rendered at the view's size
-            resampled = np.ascontiguousarray(mistake.undone(mistake.made(view.render)), np.float32)
+    mistake = None if explanation is None else explanation.mistake
+    resampled = None
+    if explanation is not None and explanation.cause == "moved" and mistake is not None and mistake.undone is not None:
+        colors = view.colors  # of a larger one, too: what it lies beside was rendered at the view's size
+        resampled = np.ascontiguousarray(mistake.undone(mistake.made(view.render)), np.float32)
         colors = np.ascontiguousarray(mistake.undone(colors), np.float32)
-        if resampled is not None:  # what was pushed over the picture's rim is not known, so it is as it was rendered
-            visible = visible_after(mistake.undone, colors.shape)[..., None]
-            visible &= ~_beside_itself(colors, view.render)[..., None]
-            colors, resampled = np.where(visible, colors, view.render), np.where(visible, resampled, view.render)
+        # What was pushed over the picture's rim is not known, so it is as it was rendered.
+        visible = visible_after(mistake.undone, colors.shape)[..., None]
+        visible &= ~_beside_itself(colors, view.render)[..., None]
+        colors, resampled = np.where(visible, colors, view.render), np.where(visible, resampled, view.render)
         notes.append(f"put right: it was {mistake.words}")
+    elif mistake is None or mistake.undone is not None or _is_lost(explanation):
+        colors, resampled = _without_loss(source, view, colors, mistake)
+        if mistake is not None:
+            lost = "" if mistake.undone is not None else ", which cannot be taken back; what was painted stays so"
+            notes.append(f"put right: it was {mistake.words}{lost}")
     mask = source.at_view().mask
     # A border that became the render would be the one place without the picture's noise, so it is cut off.
     inside = np.s_[:, :] if window is None else window

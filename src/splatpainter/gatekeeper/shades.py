@@ -21,11 +21,13 @@ from splatpainter.gatekeeper.small_copies import (
     Explanation,
     Mistake,
     SmallView,
+    exact_reach,
     explained_by,
     mean_difference,
 )
 from splatpainter.kernels import portable
 from splatpainter.kernels.portable import gram, matmul, solved, transposed_product
+from splatpainter.lift.masks import largest_channel
 from splatpainter.order_statistics import median
 from splatpainter.system.quick_dataclass import dataclass
 
@@ -76,22 +78,16 @@ class ShadeThresholds:
     """Share of the asset that is as it was rendered from which no smooth shade is looked for: a dab leaves more."""
     max_tint: float = 4 / 255
     """By how much a pixel may differ from its render made darker without another hue, for it to be fitted."""
+    max_photograph_tint: float = 20 / 255
+    """The same of a photograph, which differs from its render otherwise, too."""
+    max_left_by_corners: float = 0.7
+    """What a photograph without its vignette still differs by, in parts of what it differed by, at most."""
     min_untinted: float = 0.3
     """Share of the asset that does not, at least."""
     min_smooth_shade: float = 0.03
     """Loss at the asset's rim, at least, beyond that nearest to the middle."""
-    min_shown: float = 2.5 / 255
-    """Change from which a pixel tells a smooth shade."""
     min_shown_share: float = 0.1
     """Share of the asset that must tell it."""
-    max_error: float = 1.5 / 255
-    """How near the picture is to what a smooth shade makes."""
-    error_share: float = 0.1
-    """The same in parts of the change; the larger of both counts."""
-    min_near: float = 0.7
-    """Share of what a smooth shade changes that must be as near: the rest may be painted over."""
-    max_same: float = 0.75 / 255
-    """Difference up to which nothing happened to a pixel."""
 
 
 SHADES = ShadeThresholds()
@@ -113,9 +109,40 @@ def shade_of(view: SmallView) -> Explanation | None:
     return min(explained, key=lambda pair: pair[0], default=(0.0, None))[1]
 
 
+def darker_corners(picture: np.ndarray, render: np.ndarray, alpha: np.ndarray) -> Change | None:
+    """What takes the vignette of a photograph [H, W, 3] back, in linear light, its exposure left as it is; None where
+    it has none. render: [H, W, 3] what it shows, alpha: [H, W] of that; the picture may be otherwise exposed, sharper,
+    and painted on."""
+    from splatpainter.gatekeeper.color_drift import estimate_drift  # of photographs alone
+
+    # Channels of other gains would be other shades; the mean exposure of a vignette is a gain, too.
+    drift = estimate_drift(picture, render, alpha > COPIES.min_cover, certain=False)
+    view = SmallView.of(drift.corrected(picture), render, alpha)
+    before, after = (_toward_black(image, True, True) for image in (view.render, view.picture))
+    lit = (before.mean(-1) > SHADES.min_lit) & view.solid
+    best, most = None, SHADES.max_left_by_corners
+    for radius in (_oval, _round):
+        field = _corner_field(before, after, lit, True, radius, SHADES.max_photograph_tint)
+        if field is None:
+            continue
+        left = field(lit.shape)[lit]
+        brightest = float(left.max())
+        share = float(
+            np.median(largest_channel(np.abs(before * field(lit.shape)[..., None] - after))[lit])
+            / max(float(np.median(largest_channel(np.abs(before - after))[lit])), 1e-6)
+        )
+        if 1 - float(left.min()) / brightest >= SHADES.min_corner_shade and share < most:
+            best, most = _unshaded(_scaled(field, 1 / brightest), True, True), share
+    return best
+
+
+def _scaled(field: Field, factor: float) -> Field:
+    return lambda shape: field(shape) * factor
+
+
 def _left_unexplained(made: np.ndarray, view: SmallView) -> float:
     """How far most of the asset is from what a shade makes of it [h, w, 3]: the rest may be painted over."""
-    return float(np.quantile(mean_difference(view.picture, made)[view.solid], SHADES.min_near))
+    return float(np.quantile(mean_difference(view.picture, made)[view.solid], COPIES.min_near))
 
 
 def _shadings(view: SmallView) -> Iterator[tuple[tuple[Mistake, np.ndarray], float]]:
@@ -137,20 +164,20 @@ def _shadings(view: SmallView) -> Iterator[tuple[tuple[Mistake, np.ndarray], flo
                 made = _from_black(before * field(view.alpha.shape)[..., None], dark, linear).astype(np.float32)
                 if not _may_be_on_asset(made, view):
                     continue
-                undone = _unshaded(field, dark, linear)
+                shaded, undone = _shaded(field, dark, linear), _unshaded(field, dark, linear)
                 if _is_on_background(made, view):
-                    yield (Mistake("shade", words, lambda colors: colors, undone, "middle"), made), SHADES.min_shaded
+                    yield (Mistake("shade", words, shaded, undone, "middle"), made), SHADES.min_shaded
                 elif view.paint_is_on_asset and words == vignette:
                     if _telling(made, view).sum() >= SHADES.min_ring_px:  # black tells nothing
                         words = f"{words}, but for its background"
                     made = np.where(view.bare[..., None], view.render, made)
-                    mistake = Mistake("shade", words, lambda colors: colors, undone, "background")
+                    mistake = Mistake("shade", words, shaded, undone, "background")
                     yield (mistake, made), SHADES.min_shaded_asset
 
 
 def _telling(made: np.ndarray, view: SmallView) -> np.ndarray:
     """[h, w] bool: background that tells whether it went through a shade, too."""
-    return view.bare & (mean_difference(made, view.render) > SHADES.min_shown)
+    return view.bare & (mean_difference(made, view.render) > COPIES.min_shown)
 
 
 def _may_be_on_asset(made: np.ndarray, view: SmallView) -> bool:
@@ -170,6 +197,14 @@ def _from_black(colors: np.ndarray, dark: bool, linear: bool) -> np.ndarray:
     colors = np.clip(colors, 0, 1)
     colors = linear_to_srgb(colors) if linear else colors
     return colors if dark else 1 - colors
+
+
+def _shaded(field: Field, dark: bool, linear: bool) -> Change:
+    def made(colors: np.ndarray) -> np.ndarray:
+        lit = _toward_black(colors, dark, linear) * field(colors.shape[:2])[..., None]
+        return _from_black(lit, dark, linear).astype(np.float32)
+
+    return made
 
 
 def _unshaded(field: Field, dark: bool, linear: bool) -> Change:
@@ -272,9 +307,12 @@ def _smooth_shades(view: SmallView) -> Iterator[tuple[float, Explanation]]:
     for dark in (True, False):
         for linear in (False, True) if dark else (False,):
             before, after = (_toward_black(image, dark, linear) for image in (view.render, view.picture))
-            lit = (before.mean(-1) > SHADES.min_lit) & view.solid
-            if lit.sum() < SHADES.min_samples or view.unchanged[lit].mean() > SHADES.max_unshaded:
+            bright = before.mean(-1) > SHADES.min_lit
+            on_asset = bright & view.solid
+            if on_asset.sum() < SHADES.min_samples or view.unchanged[on_asset].mean() > SHADES.max_unshaded:
                 continue
+            # A background that changed, too, tells as well, and further out.
+            lit = on_asset if view.paint_is_on_asset else bright
             vignette = VIGNETTE_WORDS if dark else LIGHT_VIGNETTE_WORDS
             fits = [(vignette, _corner_field(before, after, lit, linear, radius)) for radius in (_oval, _round)]
             for words, field in (*fits, (GRADIENT_WORDS, _plane_field(before, after, lit, linear))):
@@ -282,27 +320,59 @@ def _smooth_shades(view: SmallView) -> Iterator[tuple[float, Explanation]]:
                     yield one
 
 
-def _corner_field(before: np.ndarray, after: np.ndarray, lit: np.ndarray, linear: bool, radius: Field) -> Field | None:
+def _corner_field(
+    before: np.ndarray,
+    after: np.ndarray,
+    lit: np.ndarray,
+    linear: bool,
+    radius: Field,
+    max_tint: float = SHADES.max_tint,
+) -> Field | None:
     """The light that is left towards the corners, of colours [h, w, 3] where lit [h, w]; None where that is no
-    shade."""
+    shade. max_tint: display values by which a pixel may have another hue."""
     away = radius(lit.shape) ** 2
-    powers = np.stack([-away, -(away**2), -(away**3)], -1)
-    # What is left is 1 less the sum, so the sum is fitted to what is lost.
-    weights = _fitted(before, after, lit, linear, powers, after - before)
-    if weights is None:
+    # What is left in the middle is 1, but for an exposure; a fit without it comes first, as it has less to explain.
+    powers = np.stack([away, away**2, away**3], -1)
+    for terms in (powers, np.concatenate([np.ones_like(powers[..., :1]), powers], -1)):
+        middle = terms.shape[-1] == powers.shape[-1]
+        weights = _fitted(before, after, lit, linear, terms, after - before if middle else after, max_tint)
+        if weights is None:
+            return None
+        polynomial = (1.0, *weights.tolist()) if middle else tuple(weights.tolist())
+        field = _polynomial_field(polynomial, radius, np.sort(away[lit]), middle)
+        if field is not None and (not middle or _is_near(before * field(lit.shape)[..., None], after, lit)):
+            return field
+    return None
+
+
+def _is_near(made: np.ndarray, after: np.ndarray, lit: np.ndarray) -> bool:
+    """Whether most of what is lit, [h, w] bool, is as a field makes it."""
+    return bool((largest_channel(np.abs(made - after))[lit] <= SHADES.max_tint).mean() >= COPIES.min_near)
+
+
+def _polynomial_field(
+    weights: tuple[float, ...], radius: Field, squares: np.ndarray, full_middle: bool
+) -> Field | None:
+    """The light that is left by a polynomial of the square of the distance from the middle; None where that is no
+    shade towards the corners. squares: [P] those of the asset's pixels, ascending; full_middle: whether nothing is lost
+    in the middle."""
+
+    def left_at(square: np.ndarray) -> np.ndarray:
+        left = np.full(square.shape, weights[-1])
+        for weight in weights[-2::-1]:
+            left = left * square + weight
+        return left
+
+    profile = left_at(squares)
+    loss = (profile[0] - profile[-1]) / max(float(profile[0]), 1e-3)
+    rises = float((profile - np.minimum.accumulate(profile)).max())
+    if loss < SHADES.min_smooth_shade or rises > SHADES.max_ring_rise:
         return None
-
-    def field(shape: tuple[int, ...]) -> np.ndarray:
-        square = np.minimum(radius(shape) ** 2, farthest)
-        return np.clip(1 - ((weights[2] * square + weights[1]) * square + weights[0]) * square, 0, 1)
-
+    if full_middle and abs(1 - profile[0]) > 1 - profile[-1]:
+        return None
     # Beyond the asset nothing was fitted: there it stays as it is at its rim.
-    farthest = float(away[lit].max())
-    profile = np.sort(away[lit])
-    left = 1 - ((weights[2] * profile + weights[1]) * profile + weights[0]) * profile
-    rises = float((left - np.minimum.accumulate(left)).max())
-    is_shade = left[0] - left[-1] >= SHADES.min_smooth_shade and rises <= SHADES.max_ring_rise
-    return field if is_shade and abs(1 - left[0]) <= 1 - left[-1] else None
+    nearest, farthest = float(squares[0]), float(squares[-1])
+    return lambda shape: np.maximum(left_at(np.clip(radius(shape) ** 2, nearest, farthest)), 0)
 
 
 def _plane_field(before: np.ndarray, after: np.ndarray, lit: np.ndarray, linear: bool) -> Field | None:
@@ -323,7 +393,13 @@ def _plane_field(before: np.ndarray, after: np.ndarray, lit: np.ndarray, linear:
 
 
 def _fitted(
-    before: np.ndarray, after: np.ndarray, lit: np.ndarray, linear: bool, terms: np.ndarray, wanted: np.ndarray
+    before: np.ndarray,
+    after: np.ndarray,
+    lit: np.ndarray,
+    linear: bool,
+    terms: np.ndarray,
+    wanted: np.ndarray,
+    max_tint: float = SHADES.max_tint,
 ) -> np.ndarray | None:
     """[F] weights of terms [h, w, F] whose sum times the colours before [h, w, 3] is nearest to what is wanted
     [h, w, 3], where lit [h, w] bool; None where too little was shaded and not tinted."""
@@ -333,7 +409,7 @@ def _fitted(
     # Errors count as they are seen: a step of light is a larger one of display values where it is dark.
     seen = np.ones(other.shape) if not linear else 1 / (2 * np.sqrt(np.maximum(other, 0.01)))
     left = other.sum(1, keepdims=True) / one.sum(1, keepdims=True)
-    untinted = (np.abs(other - left * one) * seen).max(1) <= SHADES.max_tint
+    untinted = (np.abs(other - left * one) * seen).max(1) <= max_tint
     if untinted.mean() < SHADES.min_untinted or untinted.sum() < SHADES.min_samples:
         return None
     count = terms.shape[-1]
@@ -358,24 +434,19 @@ def _judged_shade(
     before = _toward_black(view.render, dark, linear)
     made = _from_black(before * field(view.alpha.shape)[..., None], dark, linear).astype(np.float32)
     change = mean_difference(made, view.render)
-    near = mean_difference(view.picture, made) <= np.maximum(SHADES.max_error, SHADES.error_share * change)
-    shown = view.solid & (change > SHADES.min_shown)
-    if shown.sum() < SHADES.min_shown_share * view.solid.sum() or near[shown].mean() < SHADES.min_near:
+    reach = exact_reach(made, view)
+    if reach < SHADES.min_shown_share:
         return None
-    # What a hand left out is as it was rendered.
-    same = mean_difference(view.picture, view.render) <= SHADES.max_same
-    if same[shown].mean() > COPIES.max_contradicting:
-        return None
+    near = mean_difference(view.picture, made) <= np.maximum(COPIES.max_error, COPIES.error_share * change)
     spares = "middle"
     telling = _telling(made, view)
-    if telling.sum() >= SHADES.min_ring_px and near[telling].mean() < SHADES.min_near:
+    if telling.sum() >= SHADES.min_ring_px and near[telling].mean() < COPIES.min_near:
         # It goes on beside the asset, or stops there as one of a cut-out picture does.
         if not view.paint_is_on_asset or words == GRADIENT_WORDS:
             return None
         made = np.where(view.bare[..., None], view.render, made)
         words, spares = f"{words}, but for its background", "background"
     agrees = mean_difference(view.picture, made) <= COPIES.max_difference
-    reach = float((change > COPIES.min_predicted)[view.solid].mean())
-    mistake = Mistake("shade", words, lambda colors: colors, _unshaded(field, dark, linear), spares)
+    mistake = Mistake("shade", words, _shaded(field, dark, linear), _unshaded(field, dark, linear), spares)
     after = float(agrees[view.compared].mean())
     return _left_unexplained(made, view), Explanation("shade", words, view.agreeing, after, mistake, reach)

@@ -65,6 +65,16 @@ class CopyThresholds:
     min_reach: float = 0.5
     """Share of the asset that a mistake which spares something changes from which it is refused, and not only remarked:
     of a grey asset only the coloured parts become grey, as a brush makes them, too."""
+    min_shown: float = 2.5 / 255
+    """Change from which a pixel tells a mistake that is met exactly."""
+    max_error: float = 1.5 / 255
+    """How near the picture is to what such a mistake makes."""
+    error_share: float = 0.1
+    """The same in parts of the change; the larger of both counts."""
+    min_near: float = 0.7
+    """Share of what it changes that must be as near: the rest may be painted over."""
+    max_same: float = 0.75 / 255
+    """Difference up to which nothing happened to a pixel."""
     min_uniform: float = 0.7
     """Share of the bare background that a mistake must either change or leave alone: of what is painted there, soft
     brushes reach a part."""
@@ -280,7 +290,21 @@ def explained_by(mistake: Mistake, made: np.ndarray, view: SmallView) -> Explana
         # All of the picture went through it, however grey the asset is.
         if mistake.cause == "colors" and changed >= COPIES.min_uniform and view.background_changed:
             reach = 1.0
+    if mistake.spares != "nothing":
+        reach = max(reach, exact_reach(made, view))
     return Explanation(mistake.cause, mistake.words, view.agreeing, float(agrees[view.compared].mean()), mistake, reach)
+
+
+def exact_reach(made: np.ndarray, view: SmallView) -> float:
+    """Share of the asset that a mistake changed, 0..1, by however little, where nearly all of that is just as it makes
+    it: [h, w, 3], to a level or so. A hand that recolours the coloured parts leaves the nearly grey ones; 0 there."""
+    change = mean_difference(made, view.render)
+    near = mean_difference(view.picture, made) <= np.maximum(COPIES.max_error, COPIES.error_share * change)
+    shown = view.solid & (change > COPIES.min_shown)
+    if not shown.any() or near[shown].mean() < COPIES.min_near:
+        return 0.0
+    same = mean_difference(view.picture, view.render) <= COPIES.max_same
+    return float(shown.sum() / view.solid.sum()) if same[shown].mean() <= COPIES.max_contradicting else 0.0
 
 
 def _is_one_curve(mistake: Mistake, view: SmallView, explained: np.ndarray) -> bool:
