@@ -329,6 +329,38 @@ def test_only_the_paint_on_a_photograph_changes_the_asset(
     assert abs(blue - expected).max() < 0.06
 
 
+@pytest.mark.parametrize("size", [64, 128, 256])
+@pytest.mark.parametrize("strength", [0.5, 0.3])
+def test_a_vignette_without_its_photograph_is_no_paint(
+    size: int, strength: float, tmp_path: Path, capfd: Capture
+) -> None:
+    """Of a resized one 5,000 of 16,384 pixels were painted beside the paint; of one at half the size, without a
+    vignette, 70 to 96 are, along edges."""
+    folder = model(tmp_path / "garden", "source_path='/somewhere/data'")
+    picture = painted(taken_with(tmp_path / "data" / "images")[0]).astype(float)
+    y, x = (np.mgrid[:128, :128] - 63.5) / 63.5
+    shaded = Image.fromarray(to_uint8(picture / 255 * (1 - strength * (x * x + y * y) / 2)[..., None]))
+    shaded.resize((size, size), Image.Resampling.LANCZOS).save(tmp_path / "IMG_1.jpg", quality=92)
+    shutil.rmtree(tmp_path / "data" / "images")
+    out = tmp_path / "new.ply"
+    done = run(capfd, "edit", folder, tmp_path / "IMG_1.jpg", "--out", out, "--method", "lift", "--json")
+    assert done.code == 0, done.err
+    assert any("its vignette was taken back" in note for note in done.json["notes"])
+    inside, outside = reached(last(folder), out, cameras_around()[0])
+    assert inside > 200 and outside < (200 if size < 128 else 100)
+
+
+def test_a_photograph_of_even_light_has_no_vignette(tmp_path: Path, capfd: Capture) -> None:
+    folder = model(tmp_path / "garden", "source_path='/somewhere/data'")
+    picture = painted(taken_with(tmp_path / "data" / "images")[0])
+    picture[:, 96:] = (picture[:, 96:] * 0.8).astype(np.uint8)  # a shadow along one side
+    Image.fromarray(picture).save(tmp_path / "IMG_1.jpg", quality=92)
+    shutil.rmtree(tmp_path / "data" / "images")
+    out = tmp_path / "new.ply"
+    done = run(capfd, "edit", folder, tmp_path / "IMG_1.jpg", "--out", out, "--method", "lift", "--json")
+    assert done.code == 0 and not any("vignette" in note for note in done.json["notes"])
+
+
 @pytest.mark.parametrize("saved_as", ["IMG_1.png", "IMG_1.jpg"])
 def test_thin_strokes_on_a_photograph_are_no_tone(saved_as: str, tmp_path: Path, capfd: Capture) -> None:
     """Lines leave nearly all of it to one function of colour, its exposure: which is not what was painted."""

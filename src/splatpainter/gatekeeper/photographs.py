@@ -351,6 +351,9 @@ def laid_over(
         taken = None  # not the photograph was painted on, but a render that lost its camera
     if mode == "global" and edit.mask is None:
         return _regraded(edit, render, taken, solid)
+    # Without the original nothing else tells a vignette from paint.
+    if taken is None and edit.mask is None:
+        edit = _with_even_light(edit, render, cover)
     # Everything else is the gatekeeper's: place, exposure, cut.
     request = PictureRequest(render, cover, None if edit.mask is None else edit.mask.astype(np.float32))
     if taken is not None and edit.mask is None:
@@ -370,6 +373,19 @@ def laid_over(
     notes += tuple(note for note in admitted.notes if "outside the mask" not in note)
     picture = Picture(admitted.image, None)
     return replace(edit, picture=picture, mask=admitted.changed, notes=notes, photograph=None)
+
+
+def _with_even_light(edit: PictureFile, render: np.ndarray, cover: np.ndarray) -> PictureFile:
+    """A photograph whose corners are as bright as its middle."""
+    from splatpainter.gatekeeper.shades import darker_corners  # of photographs alone
+
+    alpha = edit.picture.alpha
+    undone = darker_corners(edit.picture.colors, render, cover if alpha is None else np.minimum(cover, alpha))
+    if undone is None:
+        return edit
+    colors = np.ascontiguousarray(undone(edit.picture.colors), np.float32)
+    notes = (*edit.notes, "its vignette was taken back")
+    return replace(edit, picture=replace(edit.picture, colors=colors), notes=notes)
 
 
 def _admitted(edit: PictureFile, request: PictureRequest, strictness: Strictness) -> AdmittedPicture:
