@@ -185,7 +185,9 @@ def test_a_filter_beside_what_may_be_meant_is_not_said(
     assert done.code == 0 and "it looks like another look of it" in done.err and "blurred" not in done.err
 
 
-def test_a_remark_says_how_a_vignette_is_taken_back(tmp_path: Path, capfd: Capture) -> None:
+@pytest.mark.parametrize("power", [4, 12])
+def test_it_is_said_how_a_vignette_is_taken_back(power: int, tmp_path: Path, capfd: Capture) -> None:
+    """One that reaches half of the asset is refused, one of the corners alone is remarked."""
     splats = ball()
     splats.sh[:, 0] = np.random.default_rng(0).uniform(-0.4, 0.4, (len(splats), 3)) / SH_C0  # detail everywhere
     asset, grey = saved(tmp_path / "spots.ply", splats), "0.5,0.5,0.5"
@@ -196,9 +198,13 @@ def test_a_remark_says_how_a_vignette_is_taken_back(tmp_path: Path, capfd: Captu
     pixels = np.asarray(view)
     radius = np.hypot(*np.mgrid[-79.5:80, -79.5:80])[..., None] / np.hypot(80, 80)
     plain = saved_beside(tmp_path / "view.png", "plain.png", pixels)
-    picture = saved_beside(tmp_path / "view.png", "dark.png", (pixels * (1 - 0.8 * radius**4)).round().astype(np.uint8))
-    remarked = run(capfd, "edit", asset, picture, "--out", tmp_path / "o.ply")
-    assert "towards its corners (a vignette); --correct takes that back and paints what is left" in remarked.err
+    picture = saved_beside(
+        tmp_path / "view.png", "dark.png", (pixels * (1 - 0.8 * radius**power)).round().astype(np.uint8)
+    )
+    done = run(capfd, "edit", asset, picture, "--out", tmp_path / "o.ply")
+    assert done.code == (2 if power == 4 else 0) and "towards its corners (a vignette)" in done.err
+    advice = "--correct puts it right" if power == 4 else "--correct takes that back and paints what is left"
+    assert advice in done.err
     touched = []
     for one, more in ((plain, []), (picture, ["--correct"])):
         done = run(capfd, "edit", asset, one, "--out", tmp_path / f"{one.stem}.ply", "--json", "--overwrite", *more)

@@ -156,6 +156,8 @@ class MistakeThresholds:
     """Share of what a move changes that may be as it was rendered: a part that was moved by hand leaves the rest."""
     max_left_by_curves: float = 0.7
     """What curves leave of a grade, in parts of what else takes it back leaves, up to which they take it back."""
+    min_left: float = 1 / 255
+    """What is left of a mistake that is met exactly: rounding, the larger the darker it was."""
     max_left_by_mistake: float = 3 / 255
     """What a known mistake leaves of most of the asset, at most, to be called so where curves leave less."""
     min_gain: float = 0.02
@@ -361,7 +363,7 @@ def _taken_back_by_curves(explanation: Explanation, view: SmallView) -> Explanat
     before = np.inf
     if mistake is not None and mistake.undone is not None:
         before = left_after(np.asarray(mistake.undone(view.picture), np.float32), view)
-    if after > COPIES.max_difference or after > MISTAKES.max_left_by_curves * before:
+    if after > COPIES.max_difference or after > MISTAKES.max_left_by_curves * max(before - MISTAKES.min_left, 0):
         return explanation
     cause, words = explanation.cause, explanation.words
     # A known gamma that is so far off is none.

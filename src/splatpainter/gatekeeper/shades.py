@@ -86,7 +86,7 @@ class ShadeThresholds:
     """Share of the asset that does not, at least."""
     min_smooth_shade: float = 0.03
     """Loss at the asset's rim, at least, beyond that nearest to the middle."""
-    min_shown_share: float = 0.1
+    min_visible_share: float = 0.1
     """Share of the asset that must tell it."""
 
 
@@ -177,7 +177,7 @@ def _shadings(view: SmallView) -> Iterator[tuple[tuple[Mistake, np.ndarray], flo
 
 def _telling(made: np.ndarray, view: SmallView) -> np.ndarray:
     """[h, w] bool: background that tells whether it went through a shade, too."""
-    return view.bare & (mean_difference(made, view.render) > COPIES.min_shown)
+    return view.bare & (mean_difference(made, view.render) > COPIES.min_visible)
 
 
 def _may_be_on_asset(made: np.ndarray, view: SmallView) -> bool:
@@ -398,14 +398,14 @@ def _fitted(
     lit: np.ndarray,
     linear: bool,
     terms: np.ndarray,
-    wanted: np.ndarray,
+    target_values: np.ndarray,
     max_tint: float = SHADES.max_tint,
 ) -> np.ndarray | None:
-    """[F] weights of terms [h, w, F] whose sum times the colours before [h, w, 3] is nearest to what is wanted
+    """[F] weights of terms [h, w, F] whose sum times the colours before [h, w, 3] is nearest to what is target_values
     [h, w, 3], where lit [h, w] bool; None where too little was shaded and not tinted."""
     pixels = np.flatnonzero(lit)
     pixels = pixels[:: max(len(pixels) // SHADES.max_samples, 1)]
-    one, other, goal = (values.reshape(-1, 3)[pixels].astype(np.float64) for values in (before, after, wanted))
+    one, other, goal = (values.reshape(-1, 3)[pixels].astype(np.float64) for values in (before, after, target_values))
     # Errors count as they are seen: a step of light is a larger one of display values where it is dark.
     seen = np.ones(other.shape) if not linear else 1 / (2 * np.sqrt(np.maximum(other, 0.01)))
     left = other.sum(1, keepdims=True) / one.sum(1, keepdims=True)
@@ -435,7 +435,7 @@ def _judged_shade(
     made = _from_black(before * field(view.alpha.shape)[..., None], dark, linear).astype(np.float32)
     change = mean_difference(made, view.render)
     reach = exact_reach(made, view)
-    if reach < SHADES.min_shown_share:
+    if reach < SHADES.min_visible_share:
         return None
     near = mean_difference(view.picture, made) <= np.maximum(COPIES.max_error, COPIES.error_share * change)
     spares = "middle"

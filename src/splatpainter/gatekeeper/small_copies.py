@@ -65,7 +65,7 @@ class CopyThresholds:
     min_reach: float = 0.5
     """Share of the asset that a mistake which spares something changes from which it is refused, and not only remarked:
     of a grey asset only the coloured parts become grey, as a brush makes them, too."""
-    min_shown: float = 2.5 / 255
+    min_visible: float = 2.5 / 255
     """Change from which a pixel tells a mistake that is met exactly."""
     max_error: float = 1.5 / 255
     """How near the picture is to what such a mistake makes."""
@@ -300,11 +300,11 @@ def exact_reach(made: np.ndarray, view: SmallView) -> float:
     it: [h, w, 3], to a level or so. A hand that recolours the coloured parts leaves the nearly grey ones; 0 there."""
     change = mean_difference(made, view.render)
     near = mean_difference(view.picture, made) <= np.maximum(COPIES.max_error, COPIES.error_share * change)
-    shown = view.solid & (change > COPIES.min_shown)
-    if not shown.any() or near[shown].mean() < COPIES.min_near:
+    visible = view.solid & (change > COPIES.min_visible)
+    if not visible.any() or near[visible].mean() < COPIES.min_near:
         return 0.0
     same = mean_difference(view.picture, view.render) <= COPIES.max_same
-    return float(shown.sum() / view.solid.sum()) if same[shown].mean() <= COPIES.max_contradicting else 0.0
+    return float(visible.sum() / view.solid.sum()) if same[visible].mean() <= COPIES.max_contradicting else 0.0
 
 
 def _is_one_curve(mistake: Mistake, view: SmallView, explained: np.ndarray) -> bool:

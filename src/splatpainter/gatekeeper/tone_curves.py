@@ -53,7 +53,7 @@ class CurveThresholds:
     """Share of what picture and view show that must agree with a curve that the background has, too."""
     min_contrast: float = 0.35
     """Deviation of what it makes in parts of the render's: one flat colour is paint."""
-    told_share: float = 0.7
+    unpainted_share: float = 0.7
     """Share of the asset that tells how well curves explain it: the rest may be painted over."""
 
 
@@ -141,4 +141,4 @@ def graded_by_curves(view: SmallView) -> Explanation | None:
 
 def left_after(undone: np.ndarray, view: SmallView) -> float:
     """How far most of the asset still is from its render after something was taken back, [h, w, 3]."""
-    return float(np.quantile(mean_difference(undone, view.render)[view.solid], CURVES.told_share))
+    return float(np.quantile(mean_difference(undone, view.render)[view.solid], CURVES.unpainted_share))

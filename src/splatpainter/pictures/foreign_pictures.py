@@ -67,7 +67,7 @@ FOREIGN = {
     b"IIRO": RAW,
     b"IIRS": RAW,
     b"IIU\0": RAW,
-    b"FOVb": RAW,
+    b"\x46OVb": RAW,
     b"\0MRM": RAW,
     # Of a kind that is read, in a form that is not: these come last.
     b"\xff\xd8\xff": "a JPEG of a kind that is not read (12 bits, lossless, or damaged)",
