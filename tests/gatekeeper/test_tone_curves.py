@@ -12,6 +12,7 @@ from PIL import Image
 
 from splatpainter.cameras import Camera, orbit_cameras
 from splatpainter.color import to_display
+from splatpainter.demo_asset import demo_asset
 from splatpainter.gatekeeper.mistaken_pictures import explain
 from splatpainter.gatekeeper.picture_gate import CheckedPicture, checked_picture
 from splatpainter.lift.masks import box_mean, dilated
@@ -167,3 +168,23 @@ def test_what_a_palette_loses_is_no_paint(colors: int) -> None:
 def test_what_jpeg_loses_is_no_paint(step: int, quality: int) -> None:
     dab, beside = painted_beside(corrected(jpeg(np.ascontiguousarray(dabbed()[:, ::step]), quality)))
     assert dab > 0.95 and beside < 0.005
+
+
+def test_another_view_is_not_put_right() -> None:
+    """Its edges agree by a little more than the gatekeeper asks for; a fifth of the picture was painted with it."""
+    splats = demo_asset()
+    cameras = orbit_cameras(splats, 7, size=SIZE, background=(0.25, 0.25, 0.25))
+    views = [eight_bits(to_display(draw(splats, camera)[0], splats.color_space)) for camera in cameras[::3]]
+
+    def put_right(picture: np.ndarray) -> CheckedPicture:
+        file = PictureFile(Path("a.png"), Picture(picture, None), (SIZE, SIZE), cameras[0], None, ("as large",))
+        return checked_picture(file, splats, "local", "correct")
+
+    for other in views[1:]:
+        with pytest.raises(ValueError, match="of another asset, another view|shows something other"):
+            put_right(other)
+    # The view itself, graded and moved, comes back.
+    painted = views[0].copy()
+    painted[DAB] = (0.1, 0.8, 0.2)
+    dab, _ = painted_beside(put_right(eight_bits(np.roll(filmic(painted), (1, 1), (0, 1)))))
+    assert dab > 0.9

@@ -17,7 +17,7 @@ import numpy as np
 from splatpainter.cameras import Camera
 from splatpainter.color import to_display
 from splatpainter.gatekeeper.borders import BORDER_NOTE, border_or_strip, framed_picture, with_rim
-from splatpainter.gatekeeper.mistaken_pictures import Explanation, Size, explain, filtered
+from splatpainter.gatekeeper.mistaken_pictures import MISTAKES, Explanation, Size, explain, filtered
 from splatpainter.gatekeeper.small_copies import Mistake, visible_after
 from splatpainter.gatekeeper.strictness import Strictness
 from splatpainter.image_files import find_camera
@@ -39,6 +39,8 @@ MismatchPolicy = Literal["refuse", "correct", "force"]
 USUAL_REASONS = "recompressed, another gamma or profile, mirrored, another asset, other axes or another camera"
 NEVER_MEANT = ("turned", "axes", "other")
 """Causes that are no look of an asset, and no paint under a mask."""
+NEVER_PUT_RIGHT = ("axes", "other")
+"""Causes of which nothing is known that takes them back."""
 OTHER_AXES = (
     ("of the asset with its axes read another way (try --in-axes rub or --in-axes rdf)", np.diag([1.0, -1.0, -1.0])),
     ("of the asset turned by a quarter (z up in place of y)", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
@@ -180,7 +182,7 @@ def _advice(explanation: Explanation) -> str:
     can_be_undone = explanation.cause not in ("filter", "tone") or explanation.mistake is not None
     if _is_lost(explanation):
         ways.append("--correct paints what was painted on it")
-    elif explanation.cause not in ("axes", "other") and can_be_undone:
+    elif explanation.cause not in NEVER_PUT_RIGHT and can_be_undone:
         ways.append("--correct puts it right and paints what is left")
     return f"nothing was painted: {', '.join(ways)}, --force paints with it as it is"
 
@@ -363,6 +365,14 @@ def _corrected(
         resampled=None if resampled is None else resampled[inside],
         name=str(source.path),
     )
+    # Another view has some edges in common with this one; what was moved and graded has nearly all.
+    if (
+        explanation is not None
+        and explanation.cause in NEVER_PUT_RIGHT
+        and mask is None
+        and admitted.registration.score < MISTAKES.min_moved_score
+    ):
+        raise ValueError(f"{_complaint(source, explanation)}; {_advice(explanation)}")
     image, changed = admitted.image, admitted.changed
     if window is not None:
         image, changed = view.render.copy(), np.zeros(view.cover.shape, bool)
