@@ -157,7 +157,7 @@ def test_of_a_grey_picture_the_paint_is_kept_and_nothing_else() -> None:
 def test_what_a_palette_loses_is_no_paint(colors: int) -> None:
     """The gatekeeper knew of no palette, and painted 7 to 28 % of such pictures."""
     image = Image.fromarray((dabbed() * 255).round().astype(np.uint8)).quantize(colors)
-    palette = np.reshape(image.getpalette(), (-1, 3))[:colors].astype(np.uint8)
+    palette = np.reshape(image.getpalette() or [], (-1, 3))[:colors].astype(np.uint8)
     picture = np.asarray(image.convert("RGB"), np.float32) / 255
     for encoding in (palette_of(palette), None):
         dab, beside = painted_beside(corrected(picture, encoding))
