@@ -11,6 +11,7 @@ enum { STEP_VALUES = 3, STEP_SUMS };
 // A tile's weights, as `composite` finds them, to be read again in the same order: much less than to find them again.
 template <class F>
 struct KeptWeights {
+    static constexpr bool RECOLORS = false;
     // weights [capacity]; groups [max_groups]: of each batch the open blocks, then of each vector of pixels the entries
     // that were added.
     F* weights;
@@ -55,6 +56,7 @@ struct KeptWeights {
 // Sums of weights times what is asked for at the pixels (fields MASKED_VALUES of the tile), of each pair.
 template <class F>
 struct GainSums {
+    static constexpr bool RECOLORS = false;
     const Field<F>* state;
     const Array1<const i32>& pair_ids;
     const Rows<F, STEP_SUMS>& out;

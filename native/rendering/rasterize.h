@@ -10,13 +10,15 @@ namespace sp { namespace {
 
 // Fields of a tile's state after T: sums of what is seen, by weight.
 enum { SEEN = TRANSMITTANCE + 1, SEEN_DEPTH = SEEN + 3, SEEN_FIELDS };
-// The columns of `projected` that are summed there.
-constexpr int COLOR_AND_DEPTH[4] = {RED, GREEN, BLUE, DEPTH};
 
 // What `composite` tells of the weights that it finds: batch after batch, of each open block vector by vector, of each
-// entry j of the batch that it adds there. Nothing is made of them here.
+// entry j of the batch that it adds there. Nothing is made of them here. Colours of entries, where there are any, stand
+// in place of those of their rows.
 template <class F>
 struct NoWeights {
+    static constexpr bool RECOLORS = true;
+    const F* colors;
+    i64 columns;
     SP_INLINE void begin_batch(BlockSet) {}
     SP_INLINE void begin_pixels(int, int) {}
     SP_INLINE void add(int, Wide<F>) {}
@@ -27,13 +29,20 @@ struct NoWeights {
 // `walk`: here a pixel's sums stay in registers for a batch of entries, which no sum over the pixels asks for.
 template <Profile profile, class F, class Weights>
 SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<const i32>& flatten_ids, i64 begin,
-                        i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open, Weights&& weights) {
+                        i64 end, Pixel first, Field<F>* __restrict state, BlockSet& open, Weights& weights) {
     using V = Wide<F>;
     constexpr bool ahead = !FUSED_IS_EMULATED && sizeof(F) == 4;  // where it pays: it is three copies of alpha_of
     Footprints<F> drawn;
+    constexpr bool recolors = Weights::RECOLORS;
+    const F* tints[recolors ? BATCH + 1 : 1];
     i64 closing = begin;  // the entry that closed a block last
     for (i64 from = begin; from < end; from += BATCH) {
         drawn.read(projected, flatten_ids, from, end, first);
+        if constexpr (recolors) {
+#pragma clang loop vectorize(disable) unroll(disable)
+            for (i64 j = 0; j < drawn.count; ++j) tints[j] = weights.colors + flatten_ids(from + j) * weights.columns;
+            tints[BATCH] = tints[0];
+        }
         weights.begin_batch(open);
         over_blocks(open, [&](int b) {
             const u64 hits = drawn.entries[b];
@@ -65,7 +74,9 @@ SP_INLINE i64 composite(const Rows<const F, COLUMNS>& projected, const Array1<co
                         if (!bits_where(alpha > F(0))) continue;  // changes nothing, and sums are dear
                     const V w = accept_into<profile, F>(T, alpha);
                     weights.add(j, w);
-                    for (int c = 0; c < 4; ++c) sums[c] = fused(w, all(drawn.row[j][COLOR_AND_DEPTH[c]]), sums[c]);
+                    const F *row = drawn.row[j], *color = recolors ? tints[j] : row + RED;
+                    for (int c = 0; c < 3; ++c) sums[c] = fused(w, all(color[c]), sums[c]);
+                    sums[3] = fused(w, all(row[DEPTH]), sums[3]);
                     if (!bits_where(T > F(0))) {
                         accepts = false;
                         last = max_of(last, j);
@@ -102,18 +113,24 @@ SP_INLINE void finish_tile(Field<F>* state, const F* background) {
 }
 
 template <Profile profile, class F>
-void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
-                        Array1<const i64> isect_offsets, Array1<const F> background, Pixels<F, 3> image,
-                        Array2<F> alpha, Array2<F> depth, Array1<i64> ends, i64 thread, i64 threads) {
+void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Rows<const F, 3> colors, Array1<const i32> flatten_ids,
+                        Array1<const i32> tile_ids, Array1<const i64> isect_offsets, Array1<const F> background,
+                        Pixels<F, 3> image, Array2<F> alpha, Array2<F> depth, Array1<i64> ends, i64 thread,
+                        i64 threads) {
     const i64 height = alpha.shape[0], width = alpha.shape[1];
     const F back[3] = {background(0), background(1), background(2)};
     alignas(64) Field<F> state[SEEN_FIELDS];
+    NoWeights<F> weights{projected.data + RED, COLUMNS};
+    if (!colors.empty()) {
+        checked(projected.shape[0] - 1, colors.shape[0]);
+        weights = {colors.data, 3};
+    }
     for (Turn turn(tile_ids.shape[0], thread, threads); turn.k < tile_ids.shape[0]; turn.next()) {
         const i64 k = turn.k;
         const Pixel first = open_tile<F>(tile_ids(k), width, height, state, SEEN_FIELDS);
         BlockSet open = ALL_BLOCKS;
         const i64 begin = isect_offsets(k), end = isect_offsets(k + 1);
-        ends(k) = composite<profile>(projected, flatten_ids, begin, end, first, state, open, NoWeights<F>{});
+        ends(k) = composite<profile>(projected, flatten_ids, begin, end, first, state, open, weights);
         finish_tile(state, back);
         for (int b = 0; b < BLOCKS; ++b)
             for (int row = 0; row < LANES; row += 4) {
@@ -129,14 +146,16 @@ void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flat
     }
 }
 
-// profile: 0 inria, 1 playcanvas. Out: image over the background, alpha, expected depth (0 where alpha is 0), and ends
-// [T], one past the last entry of flatten_ids used.
+// colors: [M, 3] in place of those of `projected`, or [0]. profile: 0 inria, 1 playcanvas. Out: image over the
+// background, alpha, expected depth (0 where alpha is 0), and ends [T], one past the last entry of flatten_ids used.
 template <class F>
-void rasterize_tiles(Rows<const F, COLUMNS> projected, Array1<const i32> flatten_ids, Array1<const i32> tile_ids,
-                     Array1<const i64> isect_offsets, Array1<const F> background, Pixels<F, 3> image, Array2<F> alpha,
-                     Array2<F> depth, Array1<i64> ends, i64 profile, i64 thread, i64 threads) {
+void rasterize_tiles(Rows<const F, COLUMNS> projected, Rows<const F, 3> colors, Array1<const i32> flatten_ids,
+                     Array1<const i32> tile_ids, Array1<const i64> isect_offsets, Array1<const F> background,
+                     Pixels<F, 3> image, Array2<F> alpha, Array2<F> depth, Array1<i64> ends, i64 profile, i64 thread,
+                     i64 threads) {
     auto kernel = profile == 0 ? rasterize_tiles_as<Profile::inria, F> : rasterize_tiles_as<Profile::playcanvas, F>;
-    kernel(projected, flatten_ids, tile_ids, isect_offsets, background, image, alpha, depth, ends, thread, threads);
+    kernel(projected, colors, flatten_ids, tile_ids, isect_offsets, background, image, alpha, depth, ends, thread,
+           threads);
 }
 
 template <Profile profile, class F>

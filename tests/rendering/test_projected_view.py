@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 
 import numpy as np
@@ -295,6 +296,22 @@ def test_draw_with_other_colors():
         expected = color * alpha + (1 - alpha) * np.float32(camera.background[channel])
         np.testing.assert_allclose(image[..., channel], expected, atol=1e-5)
     np.testing.assert_array_equal(view.colors, before)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("profile", ["inria", "playcanvas"])
+def test_given_colors_are_drawn_as_those_of_the_view_are(profile, dtype):
+    splats, camera = scene(300, 1, 5, dtype=dtype), cameras(50, 40)[0]
+    view = project(splats, camera)
+    colors = np.random.default_rng(5).random((len(view), 3)).astype(dtype)
+    drawn = []
+    for drawable, given in ((view, colors), (dataclasses.replace(view, projected=view.with_colors(colors)), None)):
+        pictures = (view.empty_picture(), *np.zeros((2, camera.height, camera.width), dtype))
+        drawn.append((*pictures, drawable.rasterize_into(*pictures, given, profile)))
+    for one, other in zip(*drawn, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert (drawn[0][0] != view.rasterize()[0]).any()
+    assert (view.colors_of(np.arange(0, len(view), 3)) == view.colors[::3]).all()
 
 
 def test_a_round_is_draw_subtract_accumulate():

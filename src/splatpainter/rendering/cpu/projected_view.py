@@ -131,6 +131,10 @@ class ProjectedView:
         them."""
         return self.projected.take(entries, 0)[:, geometry.UNCLAMPED_RED :]
 
+    def colors_of(self, entries: np.ndarray) -> np.ndarray:
+        """[K, 3] `colors` of some entries ([K] int64), in an array of their own."""
+        return np.ascontiguousarray(self.projected.take(entries, 0)[:, geometry.RED : geometry.BLUE + 1])
+
     def tiles_of(self, gaussian_mask: np.ndarray) -> Bools:
         """[TH, TW] bool: drawn tiles that the ellipses of these Gaussians ([N] bool) touch."""
         selected = gaussian_mask[self.gaussian_ids][self.flatten_ids]  # [P]
@@ -290,7 +294,10 @@ class ProjectedView:
             self._fill(image)
             alpha[:], depth[:] = 0, 0
         ends = np.empty(len(self.tile_ids), np.int64)
-        lists = (self.with_colors(colors), self.flatten_ids, self.tile_ids, self.isect_offsets)
+        if colors is not None:
+            assert colors.shape == (len(self), 3), f"colors: expected [{len(self)}, 3], got {colors.shape}"
+            colors = readonly(colors, self.projected.dtype)
+        lists = (self.projected, colors, self.flatten_ids, self.tile_ids, self.isect_offsets)
         run(kernels.rasterize_tiles, *lists, background, image, alpha, depth, ends, _profile_number(profile))
         return ends
 
