@@ -58,11 +58,27 @@ def lift_colors(
     Gaussians that may move; hold: [M] >= 0, what each one's old colour weighs beside sum_p w_ip m_p; relaxation: share
     of each step that is taken; steps: those of these arguments, if at hand."""
     out = view.colors.copy()
+    if rounds:
+        at = np.flatnonzero(editable)
+        out[at] = lift_editable(view, target, weights, editable, rounds, hold, relaxation, steps)
+    return out
+
+
+def lift_editable(
+    view: ProjectedView,
+    target: np.ndarray,
+    weights: np.ndarray,
+    editable: Bools,
+    rounds: int,
+    hold: np.ndarray | None = None,
+    relaxation: float = 1.0,
+    steps: CachedWeights | UncachedWeights | None = None,
+) -> np.ndarray:
+    """`lift_colors` of those that may move alone, [C, 3]: of a stroke some thousands among hundreds of thousands."""
+    first = view.colors_of(np.flatnonzero(editable))
     if not rounds:
-        return out
+        return first
     # A colour above the ceiling that the asset had already may stay: it is drawn, and pulling it down would show.
-    at = np.flatnonzero(editable)
-    first = out.take(at, 0)
     colors, ceiling = first, np.maximum(first, MAX_COLOR)
     towards = steps or sirt_steps(view, target, weights, editable, first)
     total = towards.weight
@@ -74,8 +90,7 @@ def lift_colors(
         # so the order of Gaussians has no part in the result.
         gain = towards.residual(colors)
         colors = np.clip(colors + step * (gain - pull[:, None] * (colors - first)), 0, ceiling)
-    out[at] = colors
-    return out
+    return colors
 
 
 def colors_towards(view: ProjectedView, splats: Splats, ids: Ids) -> np.ndarray:

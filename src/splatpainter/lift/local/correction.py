@@ -117,7 +117,7 @@ class LiftedGaussians:
 
     def hold(self) -> Floats:
         """[J] float32 pixels' worth of weight that the correction has in the steps."""
-        hidden = np.maximum(footprints(self.view)[self.entries] - self.sums.weight, 0)
+        hidden = np.maximum(footprints(self.view, self.entries) - self.sums.weight, 0)
         return (HOLD + HOLD * hidden).astype(np.float32)
 
     def facts(self) -> tuple[Floats, Floats]:
@@ -125,7 +125,7 @@ class LiftedGaussians:
         view, at, (height, width) = self.view, self.entries, self.pictures.mask.shape
         target, alpha, depth = self.pictures.target, self.pictures.alpha, self.pictures.depth
         visible, peak, alpha_sum = self.sums.weight, self.sums.peak, self.sums.alpha
-        footprint = footprints(view)[at]
+        footprint = footprints(view, at)
 
         # Where each lies in the view, and how it faces it.
         means2d, depths, opacities = view.means2d[at], view.depths[at], view.opacities[at]

@@ -108,8 +108,11 @@ def reaches_out(view: ProjectedView, covered: np.ndarray) -> Bools:
     return (view.extents.max(1) > LONG.max_px) & (covered < LONG.min_inside * footprints(view))
 
 
-def footprints(view: ProjectedView) -> np.ndarray:
+def footprints(view: ProjectedView, entries: np.ndarray | None = None) -> np.ndarray:
     """[M] pixels' worth of each Gaussian if nothing were before it and the picture had no borders: the integral of its
-    alpha, 2 pi opacity / sqrt(det conic)."""
-    a, b, c = view.conics.astype(np.float64).T
-    return 2 * np.pi * view.opacities / np.sqrt(np.maximum(a * c - b * b, 1e-12))
+    alpha, 2 pi opacity / sqrt(det conic). entries: [K] int64, of these alone ([K])."""
+    conics, opacities = view.conics, view.opacities
+    if entries is not None:
+        conics, opacities = conics[entries], opacities[entries]
+    a, b, c = conics.astype(np.float64).T
+    return 2 * np.pi * opacities / np.sqrt(np.maximum(a * c - b * b, 1e-12))

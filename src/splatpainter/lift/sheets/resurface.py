@@ -20,7 +20,7 @@ from splatpainter.kernels.arrays import readonly
 from splatpainter.kernels.library import kernels
 from splatpainter.kernels.parallel import run
 from splatpainter.kernels.rows import take
-from splatpainter.lift.colors import MIN_CHANGE, colors_towards, lift_colors, recolor
+from splatpainter.lift.colors import MIN_CHANGE, colors_towards, lift_editable, recolor
 from splatpainter.lift.local import correction
 from splatpainter.lift.local.correction import LiftedGaussians, PaintedPictures
 from splatpainter.lift.local.split import Lattice, projected_sizes
@@ -419,7 +419,7 @@ def _recolored(
     weights = np.where(laid.painted, covered, RESURFACING.unedited_weight).astype(np.float32)
     steps = sirt_steps(view, goal, weights, movable) if options.correct else None
     relaxation = RESURFACING.color_step_fraction
-    lifted = lift_colors(view, goal, weights, movable, rounds, relaxation=relaxation, steps=steps)
+    lifted = lift_editable(view, goal, weights, movable, rounds, relaxation=relaxation, steps=steps)
     del weights
     if steps is not None:
         # What the picture leaves open, views from beside decide.
@@ -434,15 +434,15 @@ def _recolored(
             editable,
             facing,
             visible_sums,
-            lifted.take(editable, 0),
+            lifted,
             colors_towards(around, splats, parents),
             ~old[numbers],
             pictures,
         )
-        lifted[editable] = gaussians.corrected(correction.weights(), steps)
+        lifted = gaussians.corrected(correction.weights(), steps)
         del gaussians
     del visible_sums, steps  # what is read no more goes
-    before, lifted, ids = view.unclamped_of(editable), lifted.take(editable, 0), ids[editable]
+    before, ids = view.unclamped_of(editable), ids[editable]
     moved = row_max(np.abs(lifted - np.maximum(before, 0))) > MIN_CHANGE
     sh = fresh.sh
     # The sheet keeps its parents' bands whole: `_sheet` has damped them already; pieces are damped as old Gaussians
