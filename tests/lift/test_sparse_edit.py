@@ -67,8 +67,10 @@ def test_two_edits_in_turn_are_one(seed: int):
     both, expected = first.then(later, splats), later.apply(after)
     assert same_bits(both.apply(splats), expected)
     np.testing.assert_array_equal(both.apply(splats).origin, expected.origin)
-    np.testing.assert_array_equal(both.ids, np.flatnonzero(differing(splats, expected)[: len(splats)]))
-    assert not len(both.emptied)
+    np.testing.assert_array_equal(both.touched(splats), np.flatnonzero(differing(splats, expected)[: len(splats)]))
+    stay_empty = np.setdiff1d(first.emptied, later.ids)
+    np.testing.assert_array_equal(both.emptied, stay_empty[splats.opacities[stay_empty] != 0])
+    assert len(both.emptied) and not np.isin(both.ids, both.emptied).any()
     ancestry = np.append(np.arange(len(splats)), first.parents)
     np.testing.assert_array_equal(both.parents, [*first.parents, *ancestry[later.parents]])
 

@@ -39,7 +39,7 @@ class SparseEdit:
     def touched(self, before: Splats) -> Ids:
         """[T'] int64 ascending: those of `before` of which any bit changes."""
         changed = self.emptied[float_bits(before.opacities[self.emptied]) != 0]
-        return np.sort(np.concatenate([self.ids, changed]))
+        return np.sort(np.concatenate([self.ids, changed]), kind="stable")  # which joins two ascending runs
 
     def apply(self, before: Splats) -> Splats:
         """The N + A Gaussians. Arrays in which nothing changes are shared with `before`."""
@@ -84,7 +84,10 @@ class SparseEdit:
     def then(self, later: SparseEdit, before: Splats) -> SparseEdit:
         """This edit of `before` and one of the N + A Gaussians that it makes, which empties none, as one."""
         count, old = len(before), later.ids < len(before)
-        ids = distinct(np.concatenate([self.touched(before), later.ids[old]]))
+        ids = distinct(np.concatenate([self.ids, later.ids[old]]))
+        # Those that stay empty are many, below a sheet, and of no interest but for that.
+        emptied = self.emptied[float_bits(before.opacities[self.emptied]) != 0]
+        emptied = emptied[~np.isin(emptied, ids, assume_unique=True)]
         values, appended = self.take(before, ids), self.appended.append(later.appended)
         index, added = np.searchsorted(ids, later.ids[old]), later.ids[~old] - count
         for name in ATTRIBUTES:
@@ -96,7 +99,7 @@ class SparseEdit:
             appended = replace(appended, origin=np.concatenate(tails))
         # A Gaussian that this edit appended has its own parent among the N.
         parents = np.concatenate([self.parents, np.append(np.arange(count), self.parents)[later.parents]])
-        return SparseEdit(ids, values, np.zeros(0, np.int64), appended, parents)
+        return SparseEdit(ids, values, emptied, appended, parents)
 
     def within(self, ids: np.ndarray) -> SparseEdit:
         """The edit as one of more Gaussians, of which those of this edit are `ids` ([N] int64 ascending)."""
