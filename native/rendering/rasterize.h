@@ -164,7 +164,8 @@ void heaviest_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatt
     const i64 height = entries.shape[0], width = entries.shape[1];
     enum { PEAK_WEIGHT = TRANSMITTANCE + 1, FIELDS };
     alignas(64) Field<F> state[FIELDS];
-    i32 heaviest[BLOCKS][LANES];
+    using Integer = typename IntegerOf<F>::type;
+    alignas(64) Integer heaviest[BLOCKS][LANES];
     for (i64 k = thread; k < tile_ids.shape[0]; k += threads) {
         const Pixel first = open_tile<F>(tile_ids(k), width, height, state, FIELDS);
         BlockSet open = ALL_BLOCKS;
@@ -176,15 +177,16 @@ void heaviest_tiles_as(Rows<const F, COLUMNS> projected, Array1<const i32> flatt
                 SP_LANES(F, l) {
                     const Wide<F> w = accept<profile>(&state[TRANSMITTANCE][b][l], alpha_of<profile>(g, b, l));
                     const Wide<F> peak = load(&state[PEAK_WEIGHT][b][l]);
+                    const Wide<Integer> before = load(&heaviest[b][l]);
                     store(&state[PEAK_WEIGHT][b][l], w > peak ? w : peak);
-                    for (int j = 0; j < W<F>; ++j) heaviest[b][l + j] = w[j] > peak[j] ? i : heaviest[b][l + j];
+                    store(&heaviest[b][l], w > peak ? Wide<Integer>{} + Integer(i) : before);
                 }
             });
         });
         for (int b = 0; b < BLOCKS; ++b)
             for (int l = 0; l < LANES; ++l) {
                 const auto [x, y] = pixel_of(first.x, first.y, b, l);
-                if (y < height && x < width) entries(y, x) = heaviest[b][l];
+                if (y < height && x < width) entries(y, x) = (i32)heaviest[b][l];
             }
     }
 }
