@@ -306,8 +306,8 @@ def test_given_colors_are_drawn_as_those_of_the_view_are(profile, dtype):
     colors = np.random.default_rng(5).random((len(view), 3)).astype(dtype)
     drawn = []
     for drawable, given in ((view, colors), (dataclasses.replace(view, projected=view.with_colors(colors)), None)):
-        pictures = (view.empty_picture(), *np.zeros((2, camera.height, camera.width), dtype))
-        drawn.append((*pictures, drawable.rasterize_into(*pictures, given, profile)))
+        image, (alpha, depth) = view.empty_picture(), np.zeros((2, camera.height, camera.width), dtype)
+        drawn.append((image, alpha, depth, drawable.rasterize_into(image, alpha, depth, given, profile)))
     for one, other in zip(*drawn, strict=True):
         np.testing.assert_array_equal(one, other)
     assert (drawn[0][0] != view.rasterize()[0]).any()
