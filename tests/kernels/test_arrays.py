@@ -49,7 +49,7 @@ def test_memory_is_used_again_when_the_last_view_is_gone(idle: arrays._IdleMemor
 
 
 def test_only_so_much_is_kept(idle: arrays._IdleMemory):
-    idle.limits = replace(IDLE_LIMITS, most_bytes=1_000_000, most_large_bytes=1_000_000)
+    idle.limits = replace(IDLE_LIMITS, most_bytes=1_000_000)
     held = [aligned((50_000,), FLOAT) for _ in range(9)]  # 0.2 MB each
     held.clear()
     assert 0.7e6 < sum(memory.nbytes for memory in idle.memories) <= 1e6
@@ -57,15 +57,6 @@ def test_only_so_much_is_kept(idle: arrays._IdleMemory):
     assert len(idle.memories) == 4, "small arrays are none of its business"
     aligned((300_000,), FLOAT)
     assert sum(memory.nbytes for memory in idle.memories) <= 1e6
-
-
-def test_more_is_kept_where_arrays_are_large(idle: arrays._IdleMemory):
-    idle.limits = replace(IDLE_LIMITS, most_bytes=1_000_000, largest_arrays=4.0, most_large_bytes=3_000_000)
-    for count, most in ((50_000, 1e6), (150_000, 2.4e6), (400_000, 3e6)):  # 0.2, 0.6 and 1.6 MB each
-        held = [aligned((count,), FLOAT) for _ in range(9)]
-        held.clear()
-        assert idle.limit == pytest.approx(most, rel=1e-3)
-        assert most - 4 * count - 64 < sum(memory.nbytes for memory in idle.memories) <= idle.limit
 
 
 def test_processes_that_end_soon_keep_nothing(idle: arrays._IdleMemory):

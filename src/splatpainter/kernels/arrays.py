@@ -22,12 +22,6 @@ class IdleLimits:
     most_bytes: int = 128 << 20
     """Of all that is idle: the numbers of a million projected Gaussians, as they come and in order. With half of it a
     dab on a million had 10,000 page faults in place of 500, and 110 ms of the system's time in place of 27."""
-    largest_arrays: float = 5.0
-    """Times the largest array that has been idle, where that is more, but not above `most_large_bytes`: a stroke on a
-    million Gaussians takes 350 MB, of which 100 to 200 were new with 128 MiB, and 40 to 140 with 256. Assets of a tenth
-    have no such arrays."""
-    most_large_bytes: int = 320 << 20
-    """Of what is idle where arrays are large."""
     most_waste: float = 1.5
     """Memory serves arrays of at least its size divided by this."""
 
@@ -44,8 +38,6 @@ class _IdleMemory:
         """[bytes] uint8 each, the latest last."""
         self.size = 0
         """Bytes of all of them."""
-        self.largest = 0
-        """Bytes of the largest that there was."""
         self.lock = threading.Lock()
         self.limits = IDLE_LIMITS
 
@@ -62,14 +54,6 @@ class _IdleMemory:
                 self.lock.release()
         return np.empty(size, np.uint8)
 
-    @property
-    def limit(self) -> int:
-        """Bytes that are kept at most."""
-        limits = self.limits
-        if not limits.most_bytes:
-            return 0
-        return max(limits.most_bytes, min(int(limits.largest_arrays * self.largest), limits.most_large_bytes))
-
     def put(self, memory: np.ndarray) -> None:
         """Keep it in place of what has been idle for longest."""
         if not self.lock.acquire(blocking=False):
@@ -77,8 +61,7 @@ class _IdleMemory:
         try:
             self.memories.append(memory)
             self.size += memory.size
-            self.largest = max(self.largest, memory.size)
-            while self.size > self.limit:
+            while self.size > self.limits.most_bytes:
                 self.size -= self.memories.pop(0).size
         finally:
             self.lock.release()
