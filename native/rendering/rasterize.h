@@ -12,10 +12,10 @@ namespace sp { namespace {
 enum { SEEN = TRANSMITTANCE + 1, SEEN_DEPTH = SEEN + 3, SEEN_FIELDS };
 
 // What `composite` tells of the weights that it finds: batch after batch, of each open block vector by vector, of each
-// entry j of the batch that it adds there. Nothing is made of them here. Colours of entries, where there are any, stand
-// in place of those of their rows.
+// entry j of the batch that it adds there. Nothing is made of them here: what is drawn is wanted alone, in colours that
+// may be others than those of the entries' rows.
 template <class F>
-struct NoWeights {
+struct DrawnColors {
     static constexpr bool RECOLORS = true;
     const F* colors;
     i64 columns;
@@ -120,7 +120,7 @@ void rasterize_tiles_as(Rows<const F, COLUMNS> projected, Rows<const F, 3> color
     const i64 height = alpha.shape[0], width = alpha.shape[1];
     const F back[3] = {background(0), background(1), background(2)};
     alignas(64) Field<F> state[SEEN_FIELDS];
-    NoWeights<F> weights{projected.data + RED, COLUMNS};
+    DrawnColors<F> weights{projected.data + RED, COLUMNS};
     if (!colors.empty()) {
         checked(projected.shape[0] - 1, colors.shape[0]);
         weights = {colors.data, 3};

@@ -51,16 +51,11 @@ def lift_colors(
     editable: Bools,
     rounds: int,
     hold: np.ndarray | None = None,
-    relaxation: float = 1.0,
-    steps: CachedWeights | UncachedWeights | None = None,
 ) -> np.ndarray:
-    """Colours [M, 3] towards this view after `rounds`. target: [H, W, 3]; weights: [H, W] m_p; editable: [M] bool,
-    Gaussians that may move; hold: [M] >= 0, what each one's old colour weighs beside sum_p w_ip m_p; relaxation: share
-    of each step that is taken; steps: those of these arguments, if at hand."""
+    """Colours [M, 3] of all that is in view after `lift_editable`; of those that do not move, as they are."""
     out = view.colors.copy()
     if rounds:
-        at = np.flatnonzero(editable)
-        out[at] = lift_editable(view, target, weights, editable, rounds, hold, relaxation, steps)
+        out[np.flatnonzero(editable)] = lift_editable(view, target, weights, editable, rounds, hold)
     return out
 
 
@@ -74,7 +69,10 @@ def lift_editable(
     relaxation: float = 1.0,
     steps: CachedWeights | UncachedWeights | None = None,
 ) -> np.ndarray:
-    """`lift_colors` of those that may move alone, [C, 3]: of a stroke some thousands among hundreds of thousands."""
+    """Colours [C, 3] towards this view after `rounds`, of the Gaussians that may move: of a stroke some thousands among
+    hundreds of thousands. target: [H, W, 3]; weights: [H, W] m_p; editable: [M] bool, C of them; hold: [M] >= 0, what
+    each one's old colour weighs beside sum_p w_ip m_p; relaxation: share of each step that is taken; steps: those of
+    these arguments, if at hand."""
     first = view.colors_of(np.flatnonzero(editable))
     if not rounds:
         return first
@@ -111,7 +109,7 @@ def painted_sh(
     hold: np.ndarray | None = None,
 ) -> np.ndarray:
     """[N, K, 3] SH coefficients after `rounds` towards the target [H, W, 3] at every pixel; Gaussians that do not move
-    keep their bits, and `sh` itself is returned where none does. editable, hold: [M] as in `lift_colors`; damping: as
+    keep their bits, and `sh` itself is returned where none does. editable, hold: [M] as in `lift_editable`; damping: as
     in `recolor`."""
     colors = lift_colors(view, target, np.ones(target.shape[:2], np.float32), editable, rounds, hold)
     before = view.unclamped_colors
