@@ -95,3 +95,16 @@ def test_a_gradient_on_a_part_is_no_shade() -> None:
     lower = np.where(Y[..., None] > -20, 1 - 0.5 * (Y[..., None] + 20) / SIZE * 2, 1)
     explanation = explained(view * lower, "a plain ball over black")
     assert explanation is None or explanation.cause != "shade"
+
+
+@pytest.mark.parametrize(("name", "beyond"), [("a plain ball over black", 40), ("textured over black", 15)])
+def test_a_shadow_by_hand_does_not_bend_a_shade(name: str, beyond: int) -> None:
+    """Of no other hue than what it lies on, so that it counts as shaded until the fit has found where it is not."""
+    view, _ = VIEWS[name]
+    shadowed = np.where((X[..., None] > beyond) & (Y[..., None] > -30), view * 0.55, view)
+    picture = eight_bits(shadowed * (1 - 0.5 * RADIUS**2))
+    explanation = explained(picture, name)
+    assert explanation is not None and explanation.cause == "shade", explanation
+    assert explanation.mistake is not None and explanation.mistake.undone is not None
+    left = np.abs(np.asarray(explanation.mistake.undone(picture)) - shadowed)
+    assert np.quantile(left[VIEWS[name][1] > 0.5], 0.95) < 3 / 255

@@ -15,6 +15,8 @@ from splatpainter.color import to_display
 from splatpainter.demo_asset import demo_asset
 from splatpainter.gatekeeper.mistaken_pictures import explain
 from splatpainter.gatekeeper.picture_gate import CheckedPicture, checked_picture
+from splatpainter.gatekeeper.small_copies import SmallView
+from splatpainter.gatekeeper.tone_curves import CURVES, curves_of
 from splatpainter.lift.masks import box_mean, dilated
 from splatpainter.pictures.edit_files import PictureFile, draw
 from splatpainter.pictures.encodings import Encoding, palette_of
@@ -38,7 +40,7 @@ def rec709(colors: np.ndarray) -> np.ndarray:
     return np.where(light < 0.018, 4.5 * light, 1.099 * np.maximum(light, 1e-9) ** 0.45 - 0.099)
 
 
-CURVES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+GRADES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "gamma 1.4": lambda p: p**1.4,
     "Rec. 709": rec709,
     "faded": lambda p: 0.12 + 0.8 * p,
@@ -49,16 +51,25 @@ CURVES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-@pytest.mark.parametrize("name", CURVES)
+@pytest.mark.parametrize("name", GRADES)
 def test_a_curve_is_taken_back_from_the_paint_too(name: str) -> None:
     """A gain, or the nearest known gamma, left up to 13 % of a picture painted, and the paint 11 of 255 off."""
     painted = green_dab(VIEW)
-    picture = eight_bits(CURVES[name](painted))
+    picture = eight_bits(GRADES[name](painted))
     explanation = explain(picture, VIEW, ALPHA)
     assert explanation is not None and explanation.is_grade and not explanation.may_be_meant
     assert explanation.mistake is not None and explanation.mistake.undone is not None
     left = np.abs(box_mean(np.asarray(explanation.mistake.undone(picture), np.float32) - painted, 2)).max(-1)
     assert np.quantile(left[ALPHA > 0.5], 0.9) < (12 if "JPEG" in name else 4) / 255
+
+
+@pytest.mark.parametrize("made", [lambda p: np.maximum(p, 0.35), lambda p: np.abs(p - 0.3) + 0.2])
+def test_curves_rise_so_that_they_can_be_taken_back(made: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Blacks that all became one grey, and a solarised picture: what comes back is what the curves make these of."""
+    curves = curves_of(SmallView.of(eight_bits(made(VIEW)), VIEW, ALPHA))
+    assert curves is not None and np.diff(curves.values).min() > 0.99 * CURVES.min_rise
+    greys = np.linspace(0.05, 0.95, 40)[:, None].repeat(3, 1)
+    np.testing.assert_allclose(curves.undone(curves.made(greys)), greys, atol=1e-4)
 
 
 def test_prophoto_numbers_are_named() -> None:

@@ -167,6 +167,13 @@ def test_hidden_gaussians_hold_on_to_the_correction():
     behind = replace(painted, sums=replace(painted.sums, weight=0.25 * painted.sums.weight))
     assert (behind.hold() > painted.hold() + 0.05).all()
     assert painted.hold().min() >= correction.HOLD
+    # Each by its own footprint: the integral of its alpha, if nothing were before it.
+    clear = replace(painted, view=replace(painted.view, projected=painted.view.projected.copy()))
+    clear.view.opacities[:] = np.linspace(0.3, 0.9, len(clear.view))
+    a, b, c = clear.view.conics[clear.entries].astype(np.float64).T
+    footprint = 2 * math.pi * clear.view.opacities[clear.entries] / np.sqrt(a * c - b * b)
+    expected = correction.HOLD * (1 + np.maximum(footprint - clear.sums.weight, 0))
+    np.testing.assert_allclose(clear.hold(), expected, rtol=1e-4)
 
 
 def novel_gain(seed: int) -> tuple[float, float, str]:
